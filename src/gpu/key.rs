@@ -1,0 +1,96 @@
+//! What a scene needs of the kernels. Model only what a scene needs: which functions, bindings, queues and fields exist
+//! is decided by this key alone, which depends on the scene and the options and on nothing else.
+
+use crate::random::Sampler;
+use crate::scene::compiled::{
+    CompiledScene, KIND_DIELECTRIC, KIND_DIFFUSE, KIND_GLOSSY, KIND_MIRROR, KINDS,
+};
+use std::fmt;
+
+/// Names of the material kinds, by number.
+pub const KIND_NAMES: [&str; KINDS] = ["diffuse", "mirror", "glossy", "dielectric"];
+
+/// What the linked kernels must be able to do. Equal keys link equal kernels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct KernelKey {
+    pub spheres: bool,
+    pub quads: bool,
+    /// Material kinds present.
+    pub kinds: [bool; KINDS],
+    /// Light that comes from beyond the scene.
+    pub environment: bool,
+    /// Next-event estimation: off without lights, and where no material could use it.
+    pub direct_light: bool,
+    pub sphere_lights: bool,
+    pub quad_lights: bool,
+    pub roulette: bool,
+    pub stratified: bool,
+}
+
+impl KernelKey {
+    pub fn new(scene: &CompiledScene, direct_light: bool, roulette: bool, sampler: Sampler) -> Self {
+        let kinds = scene.kinds();
+        let is_quad = |shape: u32| scene.quad_index(shape).is_some();
+        let direct_light = direct_light && !scene.lights.is_empty() && smooth(&kinds);
+        KernelKey {
+            spheres: !scene.spheres.is_empty(),
+            quads: !scene.quads.is_empty(),
+            kinds,
+            environment: scene.environment.max_element() > 0.0,
+            direct_light,
+            sphere_lights: direct_light && scene.lights.iter().any(|l| !is_quad(l.shape)),
+            quad_lights: direct_light && scene.lights.iter().any(|l| is_quad(l.shape)),
+            roulette,
+            stratified: sampler == Sampler::Stratified,
+        }
+    }
+
+    /// The same key for a kernel that meets one material kind only.
+    pub fn only_kind(self, kind: u32) -> Self {
+        let mut kinds = [false; KINDS];
+        kinds[kind as usize] = true;
+        KernelKey { kinds, ..self }
+    }
+
+    /// Feature flags of the kernel sources.
+    pub fn flags(&self) -> Vec<(&'static str, bool)> {
+        vec![
+            ("spheres", self.spheres),
+            ("quads", self.quads),
+            ("diffuse", self.kinds[KIND_DIFFUSE as usize]),
+            ("mirror", self.kinds[KIND_MIRROR as usize]),
+            ("glossy", self.kinds[KIND_GLOSSY as usize]),
+            ("dielectric", self.kinds[KIND_DIELECTRIC as usize]),
+            ("smooth", smooth(&self.kinds)),
+            ("environment", self.environment),
+            ("direct_light", self.direct_light),
+            ("sphere_lights", self.sphere_lights),
+            ("quad_lights", self.quad_lights),
+            ("roulette", self.roulette),
+            ("stratified", self.stratified),
+        ]
+    }
+
+    /// Number of hit queues: one per material kind present, one for the environment if it shines.
+    pub fn hit_queues(&self) -> u32 {
+        self.kinds.iter().filter(|&&k| k).count() as u32 + u32::from(self.environment)
+    }
+
+    /// Position of a kind's queue among the hit queues.
+    pub fn hit_queue(&self, kind: u32) -> u32 {
+        self.kinds[..kind as usize].iter().filter(|&&k| k).count() as u32
+    }
+}
+
+/// Whether any material present has a lobe that is not a delta.
+fn smooth(kinds: &[bool; KINDS]) -> bool {
+    kinds.iter().enumerate().any(|(kind, &present)| present && kind as u32 != KIND_DIELECTRIC)
+}
+
+impl fmt::Display for KernelKey {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let on: Vec<&str> =
+            self.flags().iter().filter(|(_, on)| *on).map(|(name, _)| *name).collect();
+        f.write_str(&on.join("+"))
+    }
+}

@@ -1,0 +1,99 @@
+//! Links the kernel modules of one stage into one WGSL text: imports, `@if` flags and stripping of what is unreachable,
+//! by `wesl`, which is met in this file only.
+
+use super::key::KernelKey;
+use super::stage::{Schedule, Stage};
+use crate::film::BlockSum;
+use crate::layout::GpuStruct;
+use crate::scene::compiled::{Light, Material, Quad, Sphere, Uniforms};
+use crate::transport::items::{HitItem, RayItem, ShadowItem};
+use std::borrow::Cow;
+use wesl::{CompileOptions, Feature, Features, ManglerKind, ModulePath, VirtualResolver, Wesl};
+
+macro_rules! modules {
+    ($($path:literal),* $(,)?) => {
+        &[$(($path, include_str!(concat!("../../kernels/", $path, ".wesl")))),*]
+    };
+}
+
+/// Every kernel module, by its path under kernels/.
+pub const MODULES: &[(&str, &str)] = modules![
+    "base/random",
+    "base/sampling",
+    "base/vector",
+    "scene/camera",
+    "scene/data",
+    "scene/shapes",
+    "bsdf/dielectric",
+    "bsdf/diffuse",
+    "bsdf/glossy",
+    "bsdf/interface",
+    "bsdf/mirror",
+    "transport/light",
+    "transport/path",
+    "transport/step",
+    "stages/arguments",
+    "stages/compact",
+    "stages/environment",
+    "stages/generate",
+    "stages/intersect",
+    "stages/megakernel",
+    "stages/prepare_rays",
+    "stages/prepare_shade",
+    "stages/queues",
+    "stages/resolve",
+    "stages/shade",
+    "stages/shadow",
+    "stages/step",
+];
+
+/// The kernel sources are part of the program, so this is a bug in qtracer, never in a scene.
+#[derive(Clone, Debug, thiserror::Error)]
+#[error("kernel {kernel} does not link: {reason}")]
+pub struct LinkError {
+    pub kernel: String,
+    pub reason: String,
+}
+
+/// Structs shared with the host, generated from their Rust declarations.
+fn item_declarations() -> String {
+    [
+        Uniforms::wgsl(),
+        Sphere::wgsl(),
+        Quad::wgsl(),
+        Material::wgsl(),
+        Light::wgsl(),
+        RayItem::wgsl(),
+        HitItem::wgsl(),
+        ShadowItem::wgsl(),
+        BlockSum::wgsl(),
+    ]
+    .join("\n")
+}
+
+/// The WGSL of one stage for scenes with this key. A flag that no one set is an error, so a misspelt one is found.
+pub fn link(stage: Stage, key: &KernelKey, schedule: Schedule) -> Result<String, LinkError> {
+    let error = |reason: String| LinkError { kernel: stage.name(), reason };
+    let path = |name: &str| -> Result<ModulePath, LinkError> {
+        let path = format!("package::{}", name.replace('/', "::"));
+        path.parse().map_err(|e| error(format!("{path}: {e:?}")))
+    };
+    let mut sources = VirtualResolver::new();
+    for (name, text) in MODULES {
+        sources.add_module(path(name)?, Cow::Borrowed(text));
+    }
+    sources.add_module(path("items")?, item_declarations().into());
+    sources.add_module(path("key")?, stage.constants(key).into());
+    let flags = stage.key(*key).flags().into_iter().chain(stage.flags(key, schedule));
+    let features = Features {
+        default: Feature::Error,
+        flags: flags.map(|(name, on)| (name.to_string(), on.into())).collect(),
+    };
+    let mut compiler = Wesl::new_barebones().set_custom_resolver(sources);
+    compiler.set_options(CompileOptions { features, validate: false, ..Default::default() });
+    // Names are unique across modules (naga would refuse a second declaration), so the text keeps them readable.
+    compiler.set_mangler(ManglerKind::None);
+    let root = path(&format!("stages/{}", stage.module()))?;
+    let linked = compiler.compile(&root).map_err(|e| error(e.to_string()))?;
+    Ok(format!("// qtracer kernel {} for {key}\n{linked}", stage.name()))
+}

@@ -1,0 +1,205 @@
+//! The stages of the pipeline as data: which kernel source each is linked from, with which flags, and the constants
+//! (counters, queues, argument slots) that host and kernels share. docs/KERNELS.md tells the stages' contracts.
+
+use super::key::{KIND_NAMES, KernelKey};
+use std::fmt::Write;
+
+/// How the wavefront engine schedules a level of all paths in flight. All give the same image.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Schedule {
+    /// A kernel per material; survivors stay in their slots and a compaction kernel gathers them.
+    Compacted,
+    /// A kernel per material; survivors are pushed straight into the next dense queue.
+    Streamed,
+    /// One kernel per level: intersection, shading and shadow test fused, survivors streamed.
+    #[default]
+    Fused,
+}
+
+/// Invocations per workgroup of every kernel but the one-invocation ones. 256 is what every browser grants.
+pub const WORKGROUP: u32 = 256;
+/// Workgroups in a row of the two-dimensional grid (`GRID_WIDTH` in kernels/stages/queues.wesl).
+pub const GRID_WIDTH: u32 = 32768;
+/// Samples of a pixel that the GPU sums in f32 before the host adds them up in f64.
+pub const BLOCK: u32 = 32;
+
+/// Words of the counter buffer. Hit queues' lengths follow after the last.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Counter {
+    /// A bit per queue that ran over.
+    Overflow,
+    /// Rays pushed for the next level.
+    Survivors,
+    /// Rays of this level.
+    Live,
+    /// Slot of the first fresh ray of this level.
+    FreshBegin,
+    /// First path of the batch not yet started.
+    NextPath,
+    /// Shadow rays pushed.
+    Shadows,
+    /// Shadow rays being traced.
+    ShadowsLive,
+    /// Rays traced by this batch, shadow rays not counted.
+    Rays,
+    FirstHit,
+}
+
+const COUNTER_NAMES: [&str; 9] = [
+    "COUNTER_OVERFLOW",
+    "COUNTER_SURVIVORS",
+    "COUNTER_LIVE",
+    "COUNTER_FRESH_BEGIN",
+    "COUNTER_NEXT_PATH",
+    "COUNTER_SHADOWS",
+    "COUNTER_SHADOWS_LIVE",
+    "COUNTER_RAYS",
+    "FIRST_HIT_COUNTER",
+];
+
+/// Slots of the indirect arguments. Hit queues' slots follow after the last.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Argument {
+    Generate,
+    Intersect,
+    Shadow,
+    FirstHit,
+}
+
+/// How many words the counter buffer has.
+pub fn counter_words(key: &KernelKey) -> u32 {
+    Counter::FirstHit as u32 + key.hit_queues()
+}
+
+/// How many words the argument buffer has.
+pub fn argument_words(key: &KernelKey) -> u32 {
+    3 * (Argument::FirstHit as u32 + key.hit_queues())
+}
+
+/// A kernel of one of the engines.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Stage {
+    PrepareRays,
+    Generate,
+    Intersect,
+    PrepareShade,
+    Environment,
+    /// Shading of one material kind.
+    Shade(u32),
+    Compact,
+    Shadow,
+    Step,
+    Megakernel,
+    Resolve,
+}
+
+impl Stage {
+    /// Stages that the wavefront engine runs for this scene, in order of a level; no others are linked.
+    pub fn wavefront(key: &KernelKey, schedule: Schedule) -> Vec<Stage> {
+        let mut stages = vec![Stage::PrepareRays, Stage::Generate];
+        if schedule == Schedule::Fused {
+            stages.extend([Stage::Step, Stage::Resolve]);
+            return stages;
+        }
+        if key.direct_light {
+            stages.push(Stage::Shadow);
+        }
+        stages.extend([Stage::Intersect, Stage::PrepareShade]);
+        if key.environment {
+            stages.push(Stage::Environment);
+        }
+        stages.extend((0..4).filter(|&kind| key.kinds[kind as usize]).map(Stage::Shade));
+        if schedule == Schedule::Compacted {
+            stages.push(Stage::Compact);
+        }
+        stages.push(Stage::Resolve);
+        stages
+    }
+
+    /// Stages of the megakernel engine.
+    pub fn megakernel() -> Vec<Stage> {
+        vec![Stage::Megakernel, Stage::Resolve]
+    }
+
+    pub fn name(self) -> String {
+        match self {
+            Stage::Shade(kind) => format!("shade_{}", KIND_NAMES[kind as usize]),
+            stage => stage.module().to_string(),
+        }
+    }
+
+    /// Source module under kernels/stages.
+    pub fn module(self) -> &'static str {
+        match self {
+            Stage::PrepareRays => "prepare_rays",
+            Stage::Generate => "generate",
+            Stage::Intersect => "intersect",
+            Stage::PrepareShade => "prepare_shade",
+            Stage::Environment => "environment",
+            Stage::Shade(_) => "shade",
+            Stage::Compact => "compact",
+            Stage::Shadow => "shadow",
+            Stage::Step => "step",
+            Stage::Megakernel => "megakernel",
+            Stage::Resolve => "resolve",
+        }
+    }
+
+    /// The key that this stage is linked with: a shading kernel knows one material only.
+    pub fn key(self, scene: KernelKey) -> KernelKey {
+        match self {
+            Stage::Shade(kind) => scene.only_kind(kind),
+            _ => scene,
+        }
+    }
+
+    /// Where this stage's indirect arguments lie, None if it runs once.
+    pub fn argument(self, key: &KernelKey) -> Option<u32> {
+        let first_hit = Argument::FirstHit as u32;
+        match self {
+            Stage::Generate => Some(Argument::Generate as u32),
+            Stage::Intersect | Stage::Compact | Stage::Step => Some(Argument::Intersect as u32),
+            Stage::Shadow => Some(Argument::Shadow as u32),
+            Stage::Environment => Some(first_hit + key.hit_queues() - 1),
+            Stage::Shade(kind) => Some(first_hit + key.hit_queue(kind)),
+            _ => None,
+        }
+    }
+
+    /// Feature flags of this stage beyond those of the scene.
+    pub fn flags(self, scene: &KernelKey, schedule: Schedule) -> Vec<(&'static str, bool)> {
+        vec![
+            ("in_place", schedule == Schedule::Compacted),
+            ("pushes_hits", self == Stage::Intersect),
+            ("pushes_shadows", matches!(self, Stage::Shade(_))),
+            ("shadow_queue", scene.direct_light && schedule != Schedule::Fused),
+        ]
+    }
+
+    /// The module `package::key`: numbers that host and kernels agree on.
+    pub fn constants(self, scene: &KernelKey) -> String {
+        let mut text = String::new();
+        let mut define = |name: &str, value: u32| {
+            let _ = writeln!(text, "const {name}: u32 = {value}u;");
+        };
+        define("WORKGROUP", WORKGROUP);
+        define("BLOCK", BLOCK);
+        define("COUNTERS", counter_words(scene));
+        for (i, name) in COUNTER_NAMES.iter().enumerate() {
+            define(name, i as u32);
+        }
+        define("ARGUMENT_GENERATE", Argument::Generate as u32);
+        define("ARGUMENT_INTERSECT", Argument::Intersect as u32);
+        define("ARGUMENT_SHADOW", Argument::Shadow as u32);
+        define("FIRST_HIT_ARGUMENT", Argument::FirstHit as u32);
+        define("HIT_QUEUES", scene.hit_queues());
+        for (kind, name) in KIND_NAMES.iter().enumerate() {
+            define(&format!("QUEUE_{}", name.to_uppercase()), scene.hit_queue(kind as u32));
+        }
+        define("QUEUE_ENVIRONMENT", scene.hit_queues().saturating_sub(1));
+        if let Stage::Shade(kind) = self {
+            define("HIT_QUEUE", scene.hit_queue(kind));
+        }
+        text
+    }
+}

@@ -1,0 +1,32 @@
+//! Directions and frames. GPU twin: kernels/base/vector.wesl
+
+use glam::Vec3;
+
+/// Two tangents that complete `normal` to a right-handed orthonormal basis (Duff et al. 2017).
+pub fn frame_around(normal: Vec3) -> (Vec3, Vec3) {
+    let s = if normal.z >= 0.0 { 1.0 } else { -1.0 };
+    let a = -1.0 / (s + normal.z);
+    let b = normal.x * normal.y * a;
+    (
+        Vec3::new(1.0 + s * normal.x * normal.x * a, s * b, -s * normal.x),
+        Vec3::new(b, s + normal.y * normal.y * a, -normal.y),
+    )
+}
+
+/// `local`, given in the frame whose third axis is `normal`, in world coordinates.
+pub fn to_world(local: Vec3, normal: Vec3) -> Vec3 {
+    let (tangent, bitangent) = frame_around(normal);
+    tangent * local.x + bitangent * local.y + normal * local.z
+}
+
+/// Mirror image of the direction `d` in the plane with unit normal `n`.
+pub fn mirrored(d: Vec3, n: Vec3) -> Vec3 {
+    d - n * (2.0 * d.dot(n))
+}
+
+/// Weight of the strategy with density `pdf` against one with density `other` (power heuristic, Veach 1997).
+/// As a ratio, so that neither square can overflow. `pdf` must be positive.
+pub fn mis_weight(pdf: f32, other: f32) -> f32 {
+    let ratio = other / pdf;
+    1.0 / (1.0 + ratio * ratio)
+}

@@ -1,0 +1,230 @@
+//! The scene as the transport sees it: f32, flat arrays, lights with their table. GPU twin: kernels/scene/data.wesl
+
+use super::{Camera, Geometry, MaterialKind, Scene};
+use crate::gpu_struct;
+use crate::sampling::AliasTable;
+use glam::{DVec3, Vec3};
+
+/// Material kinds: what routes a hit to its queue.
+pub const KIND_DIFFUSE: u32 = 0;
+pub const KIND_MIRROR: u32 = 1;
+pub const KIND_GLOSSY: u32 = 2;
+pub const KIND_DIELECTRIC: u32 = 3;
+/// How many kinds there are.
+pub const KINDS: usize = 4;
+/// "No light", where an index is expected.
+pub const NONE: u32 = u32::MAX;
+
+gpu_struct! {
+    /// Numbers of a frame and of the batch in flight; one uniform buffer.
+    pub struct Uniforms {
+        camera_origin: Vec3,
+        seed: u32,
+        /// Half the width of the image plane at distance 1, pointing right.
+        camera_right: Vec3,
+        width: u32,
+        /// Half its height, pointing up.
+        camera_up: Vec3,
+        height: u32,
+        camera_forward: Vec3,
+        /// Levels a path may have, 1 to 64.
+        max_bounces: u32,
+        /// Radiance of whatever lies beyond the scene.
+        environment: Vec3,
+        /// The batch covers pixels first_pixel .. first_pixel + pixel_count, row by row from the top.
+        first_pixel: u32,
+        pixel_count: u32,
+        /// … and samples first_sample .. first_sample + sample_count of each.
+        first_sample: u32,
+        sample_count: u32,
+        /// Paths to trace: of the batch, or of one dispatch of the megakernel that starts at first_path.
+        path_count: u32,
+        first_path: u32,
+        /// Items that each queue holds.
+        capacity: u32,
+        sphere_count: u32,
+        quad_count: u32,
+        light_count: u32,
+        _pad0: u32,
+        _pad1: u32,
+        _pad2: u32,
+    }
+    pub struct Sphere {
+        center: Vec3,
+        radius: f32,
+        material: u32,
+        kind: u32,
+        /// Index into the lights, NONE if it does not shine.
+        light: u32,
+        /// 1 if the outer side is inside.
+        inward: u32,
+    }
+    /// The parallelogram corner + a·e1 + b·e2, a and b in 0..1.
+    pub struct Quad {
+        corner: Vec3,
+        material: u32,
+        e1: Vec3,
+        kind: u32,
+        e2: Vec3,
+        light: u32,
+        /// e1 × e2, normalised.
+        normal: Vec3,
+        area: f32,
+        /// dual1·(p − corner) = a for p in the plane.
+        dual1: Vec3,
+        _pad0: u32,
+        /// dual2·(p − corner) = b.
+        dual2: Vec3,
+        _pad1: u32,
+    }
+    pub struct Material {
+        color: Vec3,
+        kind: u32,
+        /// Radiance leaving the outer side.
+        emission: Vec3,
+        /// Mirror: level. Glossy: exponent. Dielectric: index of refraction.
+        parameter: f32,
+    }
+    /// An emitting shape, and its row of the alias table by power.
+    pub struct Light {
+        shape: u32,
+        material: u32,
+        /// Probability with which this light is chosen.
+        pick_probability: f32,
+        /// Stay on this row below, go to alias_index from here on.
+        threshold: f32,
+        alias_index: u32,
+    }
+}
+
+/// A [`Scene`] in the form in which rays meet it.
+#[derive(Clone, Debug, Default)]
+pub struct CompiledScene {
+    pub spheres: Vec<Sphere>,
+    pub quads: Vec<Quad>,
+    pub materials: Vec<Material>,
+    pub lights: Vec<Light>,
+    pub environment: Vec3,
+}
+
+impl CompiledScene {
+    pub fn new(scene: &Scene) -> CompiledScene {
+        let mut compiled = CompiledScene {
+            materials: scene.materials.iter().map(compile_material).collect(),
+            environment: scene.environment.as_vec3(),
+            ..Default::default()
+        };
+        for shape in &scene.shapes {
+            let (material, kind) = (shape.material as u32, compiled.materials[shape.material].kind);
+            match shape.geometry {
+                Geometry::Sphere { center, radius, inward } => compiled.spheres.push(Sphere {
+                    center: center.as_vec3(),
+                    radius: radius as f32,
+                    material,
+                    kind,
+                    light: NONE,
+                    inward: inward as u32,
+                }),
+                Geometry::Quad { corner, e1, e2 } => {
+                    let quad = compile_quad(corner, e1, e2);
+                    compiled.quads.push(Quad { material, kind, light: NONE, ..quad });
+                }
+            }
+        }
+        compiled.find_lights();
+        compiled
+    }
+
+    /// Index among the quads of a shape number, None if it is a sphere.
+    pub fn quad_index(&self, shape: u32) -> Option<usize> {
+        (shape as usize).checked_sub(self.spheres.len())
+    }
+
+    /// Every emitting shape, chosen with probability proportional to its power.
+    fn find_lights(&mut self) {
+        let CompiledScene { spheres, quads, materials, lights, .. } = self;
+        let mut powers = Vec::new();
+        let mut register = |shape: usize, material: u32, area: f64| -> u32 {
+            let power = materials[material as usize].emission.as_dvec3().element_sum() * area;
+            if power <= 0.0 {
+                return NONE;
+            }
+            powers.push(power);
+            lights.push(Light { shape: shape as u32, material, ..Default::default() });
+            lights.len() as u32 - 1
+        };
+        for (i, sphere) in spheres.iter_mut().enumerate() {
+            let area = 4.0 * std::f64::consts::PI * f64::from(sphere.radius).powi(2);
+            sphere.light = register(i, sphere.material, area);
+        }
+        for (i, quad) in quads.iter_mut().enumerate() {
+            quad.light = register(spheres.len() + i, quad.material, quad.area.into());
+        }
+        for (light, row) in lights.iter_mut().zip(AliasTable::new(&powers).rows) {
+            light.pick_probability = row.probability;
+            light.threshold = row.threshold;
+            light.alias_index = row.alias;
+        }
+    }
+
+    /// Which material kinds the shapes use.
+    pub fn kinds(&self) -> [bool; KINDS] {
+        let used = self.spheres.iter().map(|s| s.kind).chain(self.quads.iter().map(|q| q.kind));
+        let mut kinds = [false; KINDS];
+        used.for_each(|kind| kinds[kind as usize] = true);
+        kinds
+    }
+
+    /// The uniforms of a frame seen through `camera` at the given size; the batch is left empty.
+    pub fn uniforms(&self, camera: &Camera, width: u32, height: u32, seed: u32) -> Uniforms {
+        let forward = (camera.target - camera.origin).normalize();
+        let right = forward.cross(camera.up).normalize();
+        let half_height = (camera.fov_y_deg.to_radians() * 0.5).tan();
+        let half_width = half_height * f64::from(width) / f64::from(height);
+        Uniforms {
+            camera_origin: camera.origin.as_vec3(),
+            seed,
+            camera_right: (right * half_width).as_vec3(),
+            width,
+            camera_up: (right.cross(forward) * half_height).as_vec3(),
+            height,
+            camera_forward: forward.as_vec3(),
+            environment: self.environment,
+            sphere_count: self.spheres.len() as u32,
+            quad_count: self.quads.len() as u32,
+            light_count: self.lights.len() as u32,
+            ..Default::default()
+        }
+    }
+}
+
+fn compile_material(material: &super::Material) -> Material {
+    let (kind, color, parameter) = match material.kind {
+        MaterialKind::Diffuse { color } => (KIND_DIFFUSE, color, 0.0),
+        MaterialKind::Mirror { color, level } => (KIND_MIRROR, color, level),
+        MaterialKind::Glossy { color, exponent } => (KIND_GLOSSY, color, exponent),
+        MaterialKind::Dielectric { tint, ior } => (KIND_DIELECTRIC, tint, ior),
+    };
+    Material {
+        color: color.as_vec3(),
+        kind,
+        emission: material.emission.as_vec3(),
+        parameter: parameter as f32,
+    }
+}
+
+fn compile_quad(corner: DVec3, e1: DVec3, e2: DVec3) -> Quad {
+    let cross = e1.cross(e2);
+    let normal = cross.normalize();
+    let (towards1, towards2) = (e2.cross(normal), normal.cross(e1));
+    Quad {
+        corner: corner.as_vec3(),
+        e1: e1.as_vec3(),
+        e2: e2.as_vec3(),
+        normal: normal.as_vec3(),
+        area: cross.length() as f32,
+        dual1: (towards1 / e1.dot(towards1)).as_vec3(),
+        dual2: (towards2 / e2.dot(towards2)).as_vec3(),
+        ..Default::default()
+    }
+}

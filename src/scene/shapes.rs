@@ -1,0 +1,139 @@
+//! Spheres and parallelograms: intersection and the surface at a hit. Shapes are numbered spheres first, then quads.
+//! GPU twin: kernels/scene/shapes.wesl
+
+use super::compiled::{CompiledScene, Quad, Sphere};
+use glam::Vec3;
+
+#[derive(Clone, Copy, Debug)]
+pub struct Ray {
+    pub origin: Vec3,
+    /// Unit length.
+    pub direction: Vec3,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hit {
+    pub t: f32,
+    pub shape: u32,
+}
+
+/// What of a shape shading needs before it knows where the hit lies.
+#[derive(Clone, Copy, Debug)]
+pub struct ShapeInfo {
+    pub material: u32,
+    pub kind: u32,
+    pub light: u32,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub struct Surface {
+    pub position: Vec3,
+    /// Unit normal on the outer side, the one that emits.
+    pub normal: Vec3,
+    /// How far a new ray must start from `position` along the normal to be safely on its side.
+    pub offset: f32,
+}
+
+/// Farther than anything; a miss has this distance.
+pub const T_MISS: f32 = 3.0e38;
+/// Spawn offset relative to the largest coordinate involved: 16 ulp. A sphere of radius r at that offset leaves
+/// |o − c|² − r² = 2·r·offset, six times the rounding error of that difference. docs/ACCURACY.md has the counts.
+pub const RELATIVE_OFFSET: f32 = 9.5367431640625e-7;
+
+/// Distance along the ray to the sphere, T_MISS if none lies ahead. The discriminant is taken from the closest
+/// approach, which keeps its digits for large and for far spheres (Haines, Günther, Akenine-Möller 2019).
+#[inline(always)]
+pub fn intersect_sphere(ray: &Ray, sphere: &Sphere) -> f32 {
+    let f = ray.origin - sphere.center;
+    let b = -f.dot(ray.direction);
+    let approach = f + ray.direction * b;
+    let discriminant = sphere.radius * sphere.radius - approach.dot(approach);
+    if discriminant < 0.0 {
+        return T_MISS;
+    }
+    let root = discriminant.sqrt();
+    let q = if b >= 0.0 { b + root } else { b - root };
+    let other = (f.dot(f) - sphere.radius * sphere.radius) / q;
+    let (near, far) = (q.min(other), q.max(other));
+    let t = if near > 0.0 { near } else { far };
+    if t > 0.0 { t } else { T_MISS }
+}
+
+/// Distance along the ray to the parallelogram, T_MISS if none.
+#[inline(always)]
+pub fn intersect_quad(ray: &Ray, quad: &Quad) -> f32 {
+    let from_corner = ray.origin - quad.corner;
+    let t = -quad.normal.dot(from_corner) / quad.normal.dot(ray.direction);
+    let p = from_corner + ray.direction * t;
+    let (a, b) = (p.dot(quad.dual1), p.dot(quad.dual2));
+    let inside = (0.0..=1.0).contains(&a) && (0.0..=1.0).contains(&b);
+    if inside && t > 0.0 { t } else { T_MISS }
+}
+
+/// The nearest shape that the ray meets.
+pub fn intersect(scene: &CompiledScene, ray: Ray) -> Option<Hit> {
+    let mut hit = Hit { t: T_MISS, shape: u32::MAX };
+    for (i, sphere) in scene.spheres.iter().enumerate() {
+        let t = intersect_sphere(&ray, sphere);
+        if t < hit.t {
+            hit = Hit { t, shape: i as u32 };
+        }
+    }
+    for (i, quad) in scene.quads.iter().enumerate() {
+        let t = intersect_quad(&ray, quad);
+        if t < hit.t {
+            hit = Hit { t, shape: (scene.spheres.len() + i) as u32 };
+        }
+    }
+    (hit.shape != u32::MAX).then_some(hit)
+}
+
+/// Whether anything but `excluded` (the light aimed at) lies nearer than `t_max`.
+pub fn occluded(scene: &CompiledScene, ray: Ray, t_max: f32, excluded: u32) -> bool {
+    let first_quad = scene.spheres.len();
+    let blocks = |shape: usize, t: f32| t < t_max && shape as u32 != excluded;
+    scene.spheres.iter().enumerate().any(|(i, s)| blocks(i, intersect_sphere(&ray, s)))
+        || scene.quads.iter().enumerate().any(|(i, q)| blocks(first_quad + i, intersect_quad(&ray, q)))
+}
+
+pub fn shape_info(scene: &CompiledScene, shape: u32) -> ShapeInfo {
+    match scene.quad_index(shape) {
+        None => {
+            let s = &scene.spheres[shape as usize];
+            ShapeInfo { material: s.material, kind: s.kind, light: s.light }
+        }
+        Some(i) => {
+            let q = &scene.quads[i];
+            ShapeInfo { material: q.material, kind: q.kind, light: q.light }
+        }
+    }
+}
+
+/// The surface where the ray hits: the point is put back onto the shape, so that its error does not grow with t.
+pub fn surface_at(scene: &CompiledScene, ray: Ray, hit: Hit) -> Surface {
+    let p = ray.origin + ray.direction * hit.t;
+    match scene.quad_index(hit.shape) {
+        None => {
+            let Sphere { center, radius, inward, .. } = scene.spheres[hit.shape as usize];
+            let outward = (p - center).normalize();
+            Surface {
+                position: center + outward * radius,
+                normal: if inward != 0 { -outward } else { outward },
+                offset: RELATIVE_OFFSET * center.abs().max_element().max(radius),
+            }
+        }
+        Some(i) => {
+            let Quad { corner, normal, .. } = scene.quads[i];
+            let position = p - normal * normal.dot(p - corner);
+            let size = corner.abs().max_element().max(position.abs().max_element());
+            Surface { position, normal, offset: RELATIVE_OFFSET * size }
+        }
+    }
+}
+
+/// A ray that leaves the surface into `direction`, started on that side of it.
+pub fn spawn_ray(surface: &Surface, direction: Vec3) -> Ray {
+    let outer = direction.dot(surface.normal) >= 0.0;
+    let side = if outer { surface.offset } else { -surface.offset };
+    Ray { origin: surface.position + surface.normal * side, direction }
+}

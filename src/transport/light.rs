@@ -1,0 +1,101 @@
+//! Direct light: a light chosen by power, a direction towards it, and the density of both.
+//! GPU twin: kernels/transport/light.wesl
+
+use crate::math::to_world;
+use crate::sampling::{pdf_cone, sample_cone};
+use crate::scene::compiled::CompiledScene;
+use glam::{Vec2, Vec3};
+use std::f32::consts::PI;
+
+/// A direction towards a light.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LightSample {
+    pub wi: Vec3,
+    /// Distance to the light along `wi`.
+    pub t: f32,
+    /// Density of `wi` in sr⁻¹ given that this light was chosen; 0 if its bright side is not seen from here.
+    pub pdf: f32,
+}
+
+/// Walker's alias method: O(1), exact up to the rounding of the thresholds.
+pub fn choose_light(scene: &CompiledScene, u: f32) -> u32 {
+    let count = scene.lights.len() as u32;
+    let scaled = u * count as f32;
+    let i = (scaled as u32).min(count - 1);
+    let light = &scene.lights[i as usize];
+    if scaled - i as f32 >= light.threshold { light.alias_index } else { i }
+}
+
+/// The cone that a sphere subtends, as 1 − cosθmax = sin²θmax / (1 + cosθmax), which small cones keep exact.
+fn sphere_cone(distance2: f32, radius: f32) -> f32 {
+    let sin2 = radius * radius / distance2;
+    sin2 / (1.0 + (1.0 - sin2).max(0.0).sqrt())
+}
+
+/// Uniform over the cone from outside; uniform over all directions from inside a sphere that shines inwards.
+fn sample_sphere_light(scene: &CompiledScene, origin: Vec3, i: usize, u: Vec2) -> LightSample {
+    let sphere = &scene.spheres[i];
+    let to_center = sphere.center - origin;
+    let distance2 = to_center.dot(to_center);
+    let inside = distance2 <= sphere.radius * sphere.radius;
+    if inside != (sphere.inward != 0) {
+        return LightSample::default();
+    }
+    if inside {
+        let wi = sample_cone(u, 2.0);
+        let along = to_center.dot(wi);
+        let half_chord2 = sphere.radius * sphere.radius - (distance2 - along * along);
+        return LightSample { wi, t: along + half_chord2.max(0.0).sqrt(), pdf: 1.0 / (4.0 * PI) };
+    }
+    let one_minus_cos_max = sphere_cone(distance2, sphere.radius);
+    let local = sample_cone(u, one_minus_cos_max);
+    let distance = distance2.sqrt();
+    let sin2 = 1.0 - local.z * local.z;
+    let half_chord2 = sphere.radius * sphere.radius - distance2 * sin2;
+    LightSample {
+        wi: to_world(local, to_center / distance),
+        t: distance * local.z - half_chord2.max(0.0).sqrt(),
+        pdf: pdf_cone(one_minus_cos_max),
+    }
+}
+
+/// Uniform over the area.
+fn sample_quad_light(scene: &CompiledScene, origin: Vec3, i: usize, u: Vec2) -> LightSample {
+    let quad = &scene.quads[i];
+    let to_light = quad.corner + quad.e1 * u.x + quad.e2 * u.y - origin;
+    let distance2 = to_light.dot(to_light);
+    let distance = distance2.sqrt();
+    let wi = to_light / distance;
+    let cos_light = -wi.dot(quad.normal);
+    if cos_light <= 0.0 || distance2 == 0.0 {
+        return LightSample::default();
+    }
+    LightSample { wi, t: distance, pdf: distance2 / (cos_light * quad.area) }
+}
+
+/// A direction from `origin` to the light `shape`. `u` in [0, 1)².
+pub fn sample_light(scene: &CompiledScene, origin: Vec3, shape: u32, u: Vec2) -> LightSample {
+    match scene.quad_index(shape) {
+        None => sample_sphere_light(scene, origin, shape as usize, u),
+        Some(i) => sample_quad_light(scene, origin, i, u),
+    }
+}
+
+/// Density with which [`sample_light`] from `origin` would have chosen the direction `wi` that met `shape` at distance t.
+pub fn pdf_light(scene: &CompiledScene, origin: Vec3, shape: u32, wi: Vec3, t: f32) -> f32 {
+    match scene.quad_index(shape) {
+        None => {
+            let sphere = &scene.spheres[shape as usize];
+            let to_center = sphere.center - origin;
+            let distance2 = to_center.dot(to_center);
+            if distance2 <= sphere.radius * sphere.radius {
+                return 1.0 / (4.0 * PI);
+            }
+            pdf_cone(sphere_cone(distance2, sphere.radius))
+        }
+        Some(i) => {
+            let quad = &scene.quads[i];
+            t * t / (wi.dot(quad.normal).abs().max(1e-20) * quad.area)
+        }
+    }
+}

@@ -1,0 +1,6 @@
+//! What happens to a path at each event: work items and pure stage functions, the CPU twins of `kernels/transport`.
+
+pub mod items;
+pub mod light;
+pub mod path;
+pub mod step;

@@ -1,0 +1,176 @@
+//! What happens to a path at each event. Pure functions: engines move the data, these do the transport.
+//! GPU twin: kernels/transport/path.wesl
+
+use super::items::{RayItem, ShadowItem};
+use super::light::{choose_light, pdf_light, sample_light};
+use crate::bsdf::{bsdf_evaluate, bsdf_sample};
+use crate::math::mis_weight;
+use crate::random::{
+    DIMENSION_CAMERA, SampleKey, Sampler, dimension_bsdf, dimension_light, sample4,
+};
+use crate::scene::camera::camera_ray;
+use crate::scene::compiled::{CompiledScene, KIND_DIELECTRIC, Material, Uniforms};
+use crate::scene::shapes::{Hit, Ray, Surface, shape_info, spawn_ray, surface_at};
+use glam::{Vec3, Vec4Swizzles};
+
+/// Everything a stage function may read: the scene, the numbers of the frame, the choice of estimators.
+#[derive(Clone, Copy, Debug)]
+pub struct Transport<'a> {
+    pub scene: &'a CompiledScene,
+    pub uniforms: &'a Uniforms,
+    pub sampler: Sampler,
+    /// Next-event estimation, combined with BSDF sampling; needs a light.
+    pub direct_light: bool,
+    pub roulette: bool,
+}
+
+/// What shading decides at one hit.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ShadeOutcome {
+    /// Radiance that this hit itself emits towards the camera, times throughput.
+    pub emitted: Vec3,
+    /// If nothing is in its way, its radiance counts.
+    pub shadow: Option<ShadowItem>,
+    /// The path goes on with this ray.
+    pub ray: Option<RayItem>,
+}
+
+/// Bounces from which roulette is played: the fourth surface and later ones.
+pub const ROULETTE_FROM_BOUNCE: u32 = 3;
+
+impl Transport<'_> {
+    /// Paths of a batch are numbered sample by sample, pixel by pixel.
+    pub fn sample_key(&self, path: u32) -> SampleKey {
+        let sample = path / self.uniforms.pixel_count;
+        let pixel = path - sample * self.uniforms.pixel_count;
+        SampleKey {
+            pixel: self.uniforms.first_pixel + pixel,
+            sample: self.uniforms.first_sample + sample,
+            seed: self.uniforms.seed,
+        }
+    }
+
+    /// The camera ray with which `path` starts.
+    pub fn generate(&self, path: u32) -> RayItem {
+        let key = self.sample_key(path);
+        let u = sample4(self.sampler, key, DIMENSION_CAMERA);
+        let row = key.pixel / self.uniforms.width;
+        let column = key.pixel - row * self.uniforms.width;
+        let ray = camera_ray(self.uniforms, [column, row], u.xy());
+        RayItem {
+            origin: ray.origin,
+            path,
+            direction: ray.direction,
+            bounce: 0,
+            throughput: Vec3::ONE,
+            pdf: 0.0,
+        }
+    }
+
+    /// Light of the environment that a ray meets which left the scene.
+    pub fn environment(&self, ray: &RayItem) -> Vec3 {
+        ray.throughput * self.uniforms.environment
+    }
+
+    /// Light that the surface itself sends back along the ray. Direct-light sampling could have found it too, unless the
+    /// ray came from the camera or a delta lobe (pdf = 0), so it shares the contribution by multiple importance sampling.
+    fn emitted(&self, ray: &RayItem, hit: Hit, surface: &Surface, material: &Material) -> Vec3 {
+        if ray.direction.dot(surface.normal) >= 0.0 || material.emission.max_element() <= 0.0 {
+            return Vec3::ZERO;
+        }
+        let mut weight = 1.0;
+        if self.direct_light && ray.pdf > 0.0 {
+            let light = shape_info(self.scene, hit.shape).light as usize;
+            let pdf = self.scene.lights[light].pick_probability
+                * pdf_light(self.scene, ray.origin, hit.shape, ray.direction, hit.t);
+            weight = mis_weight(ray.pdf, pdf);
+        }
+        ray.throughput * material.emission * weight
+    }
+
+    /// Next-event estimation: one light, one direction, to be tested for occlusion. None where nothing can arrive.
+    fn direct_light(
+        &self,
+        ray: &RayItem,
+        surface: &Surface,
+        normal: Vec3,
+        material: &Material,
+        key: SampleKey,
+    ) -> Option<ShadowItem> {
+        let u = sample4(self.sampler, key, dimension_light(ray.bounce));
+        let light = &self.scene.lights[choose_light(self.scene, u.x) as usize];
+        // The point that the continued ray will leave from, so that both strategies measure the light from the same place.
+        let origin = spawn_ray(surface, normal).origin;
+        let towards = sample_light(self.scene, origin, light.shape, u.yz());
+        if towards.pdf <= 0.0 {
+            return None;
+        }
+        let bsdf = bsdf_evaluate(material, normal, -ray.direction, towards.wi);
+        if bsdf.value.max_element() <= 0.0 {
+            return None;
+        }
+        let pdf = light.pick_probability * towards.pdf;
+        let emission = self.scene.materials[light.material as usize].emission;
+        let radiance =
+            ray.throughput * bsdf.value * emission * (mis_weight(pdf, bsdf.pdf) / pdf);
+        Some(ShadowItem {
+            origin,
+            t_max: towards.t,
+            direction: towards.wi,
+            path: ray.path,
+            radiance,
+            light_shape: light.shape,
+        })
+    }
+
+    /// Chance with which the path goes on: min(1, largest component of its throughput); a survivor carries the weight of
+    /// those that did not. Never at glass, where the solid-angle factor comes and goes.
+    fn roulette_survival(&self, throughput: Vec3, bounce: u32, kind: u32) -> f32 {
+        if !self.roulette || bounce < ROULETTE_FROM_BOUNCE || kind == KIND_DIELECTRIC {
+            return 1.0;
+        }
+        throughput.max_element().min(1.0)
+    }
+
+    /// Everything that happens where a ray meets a surface.
+    pub fn shade(&self, ray: &RayItem, hit: Hit) -> ShadeOutcome {
+        let surface = surface_at(self.scene, Ray { origin: ray.origin, direction: ray.direction }, hit);
+        let material = &self.scene.materials[shape_info(self.scene, hit.shape).material as usize];
+        let mut outcome = ShadeOutcome {
+            emitted: self.emitted(ray, hit, &surface, material),
+            ..Default::default()
+        };
+        if ray.bounce + 1 >= self.uniforms.max_bounces || material.color.max_element() <= 0.0 {
+            return outcome;
+        }
+
+        let key = self.sample_key(ray.path);
+        let outside = ray.direction.dot(surface.normal) < 0.0;
+        let normal = if outside { surface.normal } else { -surface.normal };
+        if self.direct_light && material.kind != KIND_DIELECTRIC {
+            outcome.shadow = self.direct_light(ray, &surface, normal, material, key);
+        }
+
+        let u = sample4(self.sampler, key, dimension_bsdf(ray.bounce));
+        let scattered = bsdf_sample(material, normal, -ray.direction, outside, u.xyz());
+        let mut throughput = ray.throughput * scattered.weight;
+        let survival = self.roulette_survival(throughput, ray.bounce, material.kind);
+        if u.w >= survival {
+            return outcome;
+        }
+        throughput /= survival;
+        if throughput.max_element() <= 0.0 {
+            return outcome;
+        }
+        let next = spawn_ray(&surface, scattered.wi);
+        outcome.ray = Some(RayItem {
+            origin: next.origin,
+            path: ray.path,
+            direction: next.direction,
+            bounce: ray.bounce + 1,
+            throughput,
+            pdf: scattered.pdf,
+        });
+        outcome
+    }
+}

@@ -1,0 +1,47 @@
+//! One level of a path from start to end: intersect, shade, test the shadow ray. GPU twin: kernels/transport/step.wesl
+
+use super::items::RayItem;
+use super::path::Transport;
+use crate::scene::shapes::{Ray, intersect, occluded};
+use glam::Vec3;
+
+/// `emitted` and `direct` are to be added to the path's radiance one after the other, as every schedule does.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct StepOutcome {
+    pub emitted: Vec3,
+    pub direct: Vec3,
+    /// The path goes on with this ray.
+    pub ray: Option<RayItem>,
+}
+
+impl Transport<'_> {
+    pub fn step(&self, ray: &RayItem) -> StepOutcome {
+        let hit = intersect(self.scene, Ray { origin: ray.origin, direction: ray.direction });
+        let Some(hit) = hit else {
+            return StepOutcome { emitted: self.environment(ray), ..Default::default() };
+        };
+        let shaded = self.shade(ray, hit);
+        let direct = match shaded.shadow {
+            Some(shadow) => {
+                let towards = Ray { origin: shadow.origin, direction: shadow.direction };
+                let blocked = occluded(self.scene, towards, shadow.t_max, shadow.light_shape);
+                if blocked { Vec3::ZERO } else { shadow.radiance }
+            }
+            None => Vec3::ZERO,
+        };
+        StepOutcome { emitted: shaded.emitted, direct, ray: shaded.ray }
+    }
+
+    /// The radiance that a whole path brings to the camera.
+    pub fn trace(&self, path: u32) -> Vec3 {
+        let mut radiance = Vec3::ZERO;
+        let mut next = Some(self.generate(path));
+        while let Some(ray) = next {
+            let outcome = self.step(&ray);
+            radiance += outcome.emitted;
+            radiance += outcome.direct;
+            next = outcome.ray;
+        }
+        radiance
+    }
+}
