@@ -1,1 +1,257 @@
-//! Scene.
+//! What to render: camera, light, materials and shapes, validated, in world units, y up, right-handed, linear RGB.
+//!
+//! A [`Scene`] comes from a TOML or JSON file ([`Scene::load`]), from text, or from code ([`Scene::builder`]); all three
+//! pass the same validation, so whoever holds one may rely on the ranges written below. Fields are public: after changing
+//! one, call [`Scene::validate`].
+//!
+//! ```toml
+//! name = "lamp in a furnace"
+//! [camera]
+//! origin = [0, 1, 4]
+//! target = [0, 0, 0]
+//! up = [0, 1, 0]              # default
+//! fov_y_deg = 40
+//! width = 256
+//! height = 256
+//! [environment]
+//! radiance = [0.1, 0.1, 0.1]  # default black
+//! [render]
+//! spp = 64                    # default, as is every key of [render]
+//! [materials.white]
+//! type = "diffuse"            # or mirror, glossy, dielectric
+//! color = [0.7, 0.7, 0.7]
+//! [materials.lamp]
+//! type = "diffuse"
+//! color = [0, 0, 0]
+//! emission = [15, 15, 15]
+//! [[shapes]]
+//! type = "sphere"             # or quad, box
+//! center = [0, 2, 0]
+//! radius = 0.3
+//! material = "lamp"
+//! [[shapes]]
+//! type = "box"                # becomes six outward quads
+//! center = [0, 0, 0]
+//! size = [1, 1, 1]
+//! rotate_y_deg = 30
+//! material = "white"
+//! ```
+
+mod boxes;
+mod builder;
+mod description;
+mod document;
+mod error;
+mod fields;
+mod load;
+#[cfg(test)]
+mod tests;
+mod validate;
+mod warning;
+
+use glam::DVec3;
+
+pub use builder::SceneBuilder;
+pub use error::{Place, SceneError};
+pub use validate::check_image_size;
+pub use warning::SceneWarning;
+
+/// Everything a renderer needs to know. See the [module](self) for conventions.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scene {
+    /// A short name, used for messages and file names.
+    pub name: String,
+    /// What the scene shows or tests; may be empty.
+    pub description: String,
+    /// Where it is seen from.
+    pub camera: Camera,
+    /// Radiance arriving from every direction that hits nothing; ≥ 0.
+    pub environment: DVec3,
+    /// Sorted by name when read from a file, in order of addition when built.
+    pub materials: Vec<Material>,
+    /// In the order of the file; a box has become six quads.
+    pub shapes: Vec<Shape>,
+    /// How it should be rendered unless asked otherwise.
+    pub defaults: Defaults,
+}
+
+/// A pinhole camera. A pixel's samples cover exactly that pixel; row 0 is the top.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Camera {
+    /// The pinhole, in world units.
+    pub origin: DVec3,
+    /// The point seen in the middle of the image; not the origin.
+    pub target: DVec3,
+    /// What is up in the image; any length above zero, not parallel to the view.
+    pub up: DVec3,
+    /// Full vertical opening angle in degrees, between 0 and 180, both excluded.
+    pub fov_y_deg: f64,
+    /// Columns, 1 to 65536.
+    pub width: u32,
+    /// Rows, 1 to 65536.
+    pub height: u32,
+}
+
+/// Render settings that a scene recommends (`[render]` in a file).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Defaults {
+    /// Samples per pixel, at least 1. 64 unless said.
+    pub spp: u32,
+    /// Levels of a path, 1 to 64: 1 sees emitters only. 64 unless said.
+    pub max_bounces: u32,
+    /// Sample lights directly at each diffuse or glossy hit. True unless said.
+    pub direct_light: bool,
+    /// End faint paths early by Russian roulette, without bias. True unless said.
+    pub roulette: bool,
+}
+
+impl Default for Defaults {
+    fn default() -> Self {
+        Self {
+            spp: 64,
+            max_bounces: 64,
+            direct_light: true,
+            roulette: true,
+        }
+    }
+}
+
+/// How a surface reflects and what it emits.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Material {
+    /// Unique within the scene, not empty.
+    pub name: String,
+    /// How it reflects.
+    pub kind: MaterialKind,
+    /// Radiance leaving the side of the outward normal only; ≥ 0, black for most. Any kind may emit.
+    pub emission: DVec3,
+}
+
+/// How a surface reflects. Colours are per channel, ≥ 0; above 1 they add energy ([`SceneWarning::AlbedoAboveOne`]).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum MaterialKind {
+    /// Lambertian, on both sides. `color` is the albedo.
+    Diffuse {
+        /// Albedo.
+        color: DVec3,
+    },
+    /// A perfect mirror with probability `level`, else Lambertian; both tinted by `color`; on both sides.
+    Mirror {
+        /// Tint of both lobes.
+        color: DVec3,
+        /// Chance of perfect reflection, 0 to 1.
+        level: f64,
+    },
+    /// A power-cosine lobe about the mirror direction, folded up at the horizon so that nothing is lost; on both sides.
+    Glossy {
+        /// Albedo.
+        color: DVec3,
+        /// 0 (hemispherical) to 1e6 (nearly a mirror).
+        exponent: f64,
+    },
+    /// Smooth glass: reflects or refracts by Fresnel's equations.
+    Dielectric {
+        /// Multiplies each reflection and each refraction.
+        tint: DVec3,
+        /// Refractive index of the inside over the outside, 1 to 10.
+        ior: f64,
+    },
+}
+
+impl MaterialKind {
+    /// The colour or tint, whichever the kind has.
+    pub fn color(&self) -> DVec3 {
+        match *self {
+            Self::Diffuse { color } | Self::Mirror { color, .. } | Self::Glossy { color, .. } => {
+                color
+            }
+            Self::Dielectric { tint, .. } => tint,
+        }
+    }
+}
+
+impl Material {
+    /// A Lambertian surface. Constructors leave the name empty: [`SceneBuilder::material`] gives it.
+    pub fn diffuse(color: impl Into<DVec3>) -> Self {
+        Self::of(MaterialKind::Diffuse {
+            color: color.into(),
+        })
+    }
+
+    /// A mirror with probability `level` (0 to 1), else Lambertian.
+    pub fn mirror(color: impl Into<DVec3>, level: f64) -> Self {
+        Self::of(MaterialKind::Mirror {
+            color: color.into(),
+            level,
+        })
+    }
+
+    /// A power-cosine lobe; `exponent` 0 to 1e6.
+    pub fn glossy(color: impl Into<DVec3>, exponent: f64) -> Self {
+        Self::of(MaterialKind::Glossy {
+            color: color.into(),
+            exponent,
+        })
+    }
+
+    /// Smooth glass of refractive index `ior` (1 to 10).
+    pub fn dielectric(tint: impl Into<DVec3>, ior: f64) -> Self {
+        Self::of(MaterialKind::Dielectric {
+            tint: tint.into(),
+            ior,
+        })
+    }
+
+    /// The same material, emitting `radiance` from the side of the outward normal.
+    pub fn emitting(mut self, radiance: impl Into<DVec3>) -> Self {
+        self.emission = radiance.into();
+        self
+    }
+
+    /// True where some channel is emitted.
+    pub fn is_emissive(&self) -> bool {
+        self.emission.max_element() > 0.0
+    }
+
+    fn of(kind: MaterialKind) -> Self {
+        Self {
+            name: String::new(),
+            kind,
+            emission: DVec3::ZERO,
+        }
+    }
+}
+
+/// A surface with a material.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Shape {
+    /// For messages; the six sides of a box share it.
+    pub name: Option<String>,
+    /// Index into [`Scene::materials`].
+    pub material: usize,
+    /// Where it is.
+    pub geometry: Geometry,
+}
+
+/// The surfaces a renderer knows, in world units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Geometry {
+    /// A sphere; its outward normal points to the centre when `inward`.
+    Sphere {
+        /// Middle.
+        center: DVec3,
+        /// Above 0.
+        radius: f64,
+        /// Emit inwards, for furnaces.
+        inward: bool,
+    },
+    /// The parallelogram `corner + s e1 + t e2`, s and t in 0..1; its outward normal is e1 × e2.
+    Quad {
+        /// s = t = 0.
+        corner: DVec3,
+        /// First edge; not zero, not parallel to the second.
+        e1: DVec3,
+        /// Second edge.
+        e2: DVec3,
+    },
+}

@@ -1,0 +1,288 @@
+//! Scenes made in code.
+
+use glam::DVec3;
+
+use super::boxes::box_quads;
+use super::description::{MaterialNames, material_index};
+use super::error::Fault;
+use super::validate::{self, shape_label};
+use super::{Camera, Defaults, Geometry, Material, Scene, SceneError, Shape};
+
+/// Makes a [`Scene`] step by step; nothing is checked before [`build`](Self::build). Order is free, shapes may come
+/// before their materials.
+///
+/// ```
+/// use qtracer::scene::{Material, Scene};
+///
+/// let scene = Scene::builder("room")
+///     .camera([0.0, 1.0, 4.0], [0.0, 0.0, 0.0], 40.0)
+///     .size(320, 240)
+///     .environment([0.1, 0.1, 0.1])
+///     .material("white", Material::diffuse([0.7, 0.7, 0.7]))
+///     .material("glass", Material::dielectric([1.0, 1.0, 1.0], 1.5))
+///     .material("lamp", Material::diffuse([0.0; 3]).emitting([15.0, 14.0, 12.0]))
+///     .quad([-3.0, 0.0, -3.0], [0.0, 0.0, 6.0], [6.0, 0.0, 0.0], "white")
+///     .sphere([0.0, 1.0, 0.0], 0.5, "glass")
+///     .sphere([1.0, 3.0, 0.0], 0.2, "lamp")
+///     .named("the lamp")
+///     .boxed([-1.0, 0.5, 0.0], [1.0, 1.0, 1.0], 30.0, "white")
+///     .build()?;
+/// assert_eq!(scene.shapes.len(), 3 + 6);
+/// assert!(scene.warnings().is_empty());
+///
+/// let error = Scene::builder("oops").camera([0.0, 0.0, 1.0], [0.0; 3], 40.0)
+///     .material("white", Material::diffuse([0.7; 3]))
+///     .sphere([0.0; 3], 1.0, "whit")
+///     .build().unwrap_err();
+/// assert_eq!(error.to_string(), r#"shapes[0]: unknown material "whit"; did you mean "white"?"#);
+/// # Ok::<(), qtracer::scene::SceneError>(())
+/// ```
+#[derive(Clone, Debug)]
+#[must_use = "call build() to get the scene"]
+pub struct SceneBuilder {
+    /// All but the shapes.
+    scene: Scene,
+    has_camera: bool,
+    shapes: Vec<Draft>,
+}
+
+/// A shape whose material is still a name.
+#[derive(Clone, Debug)]
+struct Draft {
+    name: Option<String>,
+    material: String,
+    outline: Outline,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Outline {
+    Plain(Geometry),
+    Box {
+        center: DVec3,
+        size: DVec3,
+        rotate_y_deg: f64,
+    },
+}
+
+impl Scene {
+    /// Starts a scene of that name, with a black environment, 512 × 512 pixels, and no camera yet.
+    pub fn builder(name: impl Into<String>) -> SceneBuilder {
+        let (origin, target, up) = (DVec3::Z, DVec3::ZERO, DVec3::Y);
+        let scene = Scene {
+            name: name.into(),
+            description: String::new(),
+            camera: Camera {
+                origin,
+                target,
+                up,
+                fov_y_deg: 40.0,
+                width: 512,
+                height: 512,
+            },
+            environment: DVec3::ZERO,
+            materials: Vec::new(),
+            shapes: Vec::new(),
+            defaults: Defaults::default(),
+        };
+        SceneBuilder {
+            scene,
+            has_camera: false,
+            shapes: Vec::new(),
+        }
+    }
+}
+
+impl SceneBuilder {
+    /// What the scene shows.
+    pub fn description(mut self, text: impl Into<String>) -> Self {
+        self.scene.description = text.into();
+        self
+    }
+
+    /// Where to look from and to, and the full vertical angle in degrees. Up is +y unless [`up`](Self::up) says else.
+    pub fn camera(
+        mut self,
+        origin: impl Into<DVec3>,
+        target: impl Into<DVec3>,
+        fov_y_deg: f64,
+    ) -> Self {
+        let camera = &mut self.scene.camera;
+        (camera.origin, camera.target, camera.fov_y_deg) =
+            (origin.into(), target.into(), fov_y_deg);
+        self.has_camera = true;
+        self
+    }
+
+    /// What is up in the image.
+    pub fn up(mut self, up: impl Into<DVec3>) -> Self {
+        self.scene.camera.up = up.into();
+        self
+    }
+
+    /// Image size in pixels, 1 to 65536 each.
+    pub fn size(mut self, width: u32, height: u32) -> Self {
+        (self.scene.camera.width, self.scene.camera.height) = (width, height);
+        self
+    }
+
+    /// Radiance from every direction that hits nothing.
+    pub fn environment(mut self, radiance: impl Into<DVec3>) -> Self {
+        self.scene.environment = radiance.into();
+        self
+    }
+
+    /// Recommended render settings.
+    pub fn render(mut self, defaults: Defaults) -> Self {
+        self.scene.defaults = defaults;
+        self
+    }
+
+    /// Defines a material; `name` replaces any it had.
+    pub fn material(mut self, name: impl Into<String>, material: Material) -> Self {
+        self.scene.materials.push(Material {
+            name: name.into(),
+            ..material
+        });
+        self
+    }
+
+    /// Adds a sphere with outward normals.
+    pub fn sphere(
+        self,
+        center: impl Into<DVec3>,
+        radius: f64,
+        material: impl Into<String>,
+    ) -> Self {
+        let center = center.into();
+        self.shape(
+            Outline::Plain(Geometry::Sphere {
+                center,
+                radius,
+                inward: false,
+            }),
+            material,
+        )
+    }
+
+    /// Adds a sphere that emits inwards.
+    pub fn inward_sphere(
+        self,
+        center: impl Into<DVec3>,
+        radius: f64,
+        material: impl Into<String>,
+    ) -> Self {
+        let center = center.into();
+        self.shape(
+            Outline::Plain(Geometry::Sphere {
+                center,
+                radius,
+                inward: true,
+            }),
+            material,
+        )
+    }
+
+    /// Adds a parallelogram with outward normal e1 × e2.
+    pub fn quad(
+        self,
+        corner: impl Into<DVec3>,
+        e1: impl Into<DVec3>,
+        e2: impl Into<DVec3>,
+        material: impl Into<String>,
+    ) -> Self {
+        let (corner, e1, e2) = (corner.into(), e1.into(), e2.into());
+        self.shape(Outline::Plain(Geometry::Quad { corner, e1, e2 }), material)
+    }
+
+    /// Adds a box about `center`, turned about its vertical axis, as six outward quads.
+    pub fn boxed(
+        self,
+        center: impl Into<DVec3>,
+        size: impl Into<DVec3>,
+        rotate_y_deg: f64,
+        material: impl Into<String>,
+    ) -> Self {
+        let (center, size) = (center.into(), size.into());
+        self.shape(
+            Outline::Box {
+                center,
+                size,
+                rotate_y_deg,
+            },
+            material,
+        )
+    }
+
+    /// Names the shape added last, for messages; does nothing before the first.
+    pub fn named(mut self, name: impl Into<String>) -> Self {
+        if let Some(last) = self.shapes.last_mut() {
+            last.name = Some(name.into());
+        }
+        self
+    }
+
+    /// Checks everything and makes the scene.
+    ///
+    /// # Errors
+    /// As [`Scene::validate`], and for a missing camera or unknown material names.
+    pub fn build(self) -> Result<Scene, SceneError> {
+        let Self {
+            mut scene,
+            has_camera,
+            shapes,
+        } = self;
+        if !has_camera {
+            return Err(Fault::from(
+                "is missing; call camera(origin, target, fov_y_deg)".to_owned(),
+            )
+            .of("camera", None));
+        }
+        let names = scene
+            .materials
+            .iter()
+            .enumerate()
+            .map(|(index, material)| (material.name.clone(), index))
+            .collect();
+        for (index, draft) in shapes.into_iter().enumerate() {
+            let object = shape_label(index, draft.name.as_deref());
+            let (material, sides) =
+                resolve(&draft, &names).map_err(|fault| fault.of(&object, None))?;
+            scene.shapes.extend(sides.into_iter().map(|geometry| Shape {
+                name: draft.name.clone(),
+                material,
+                geometry,
+            }));
+        }
+        scene.validate()?;
+        Ok(scene)
+    }
+
+    fn shape(mut self, outline: Outline, material: impl Into<String>) -> Self {
+        self.shapes.push(Draft {
+            name: None,
+            material: material.into(),
+            outline,
+        });
+        self
+    }
+}
+
+/// The index of a draft's material and its checked surfaces.
+fn resolve(draft: &Draft, names: &MaterialNames) -> Result<(usize, Vec<Geometry>), Fault> {
+    let material = material_index(&draft.material, names)?;
+    let sides = match draft.outline {
+        Outline::Plain(geometry) => {
+            validate::geometry(&geometry)?;
+            vec![geometry]
+        }
+        Outline::Box {
+            center,
+            size,
+            rotate_y_deg,
+        } => {
+            validate::boxed(center, size, rotate_y_deg)?;
+            box_quads(center, size, rotate_y_deg).to_vec()
+        }
+    };
+    Ok((material, sides))
+}

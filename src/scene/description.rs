@@ -1,0 +1,281 @@
+//! The keys of a scene file and what they mean: a tree in, a validated [`Scene`] out.
+
+use std::collections::BTreeMap;
+
+use glam::DVec3;
+
+use super::boxes::box_quads;
+use super::document::{Node, Value};
+use super::error::{Fault, SceneError, quoted, suggestion};
+use super::fields::Fields;
+use super::validate::{self, material_label, shape_label};
+use super::{Camera, Defaults, Geometry, Material, MaterialKind, Scene, Shape};
+
+const TOP_KEYS: [&str; 7] = [
+    "name",
+    "description",
+    "camera",
+    "environment",
+    "render",
+    "materials",
+    "shapes",
+];
+const MATERIAL_TYPES: [&str; 4] = ["diffuse", "mirror", "glossy", "dielectric"];
+const SHAPE_TYPES: [&str; 3] = ["sphere", "quad", "box"];
+
+/// Names of materials and their places in [`Scene::materials`].
+pub(super) type MaterialNames = BTreeMap<String, usize>;
+
+/// Reads and validates a whole document.
+pub(super) fn scene(root: &Node) -> Result<Scene, SceneError> {
+    let top = Fields::of(root).map_err(|fault| fault.of("scene", root.line))?;
+    let (name, description) = heading(&top).map_err(|fault| fault.of("scene", root.line))?;
+    let materials = materials(top.node("materials"))?;
+    let names = materials
+        .iter()
+        .enumerate()
+        .map(|(index, material)| (material.name.clone(), index))
+        .collect();
+    let scene = Scene {
+        name,
+        description,
+        camera: section(&top, "camera", camera)?.ok_or_else(no_camera)?,
+        environment: section(&top, "environment", environment)?.unwrap_or(DVec3::ZERO),
+        shapes: shapes(top.node("shapes"), &names)?,
+        defaults: section(&top, "render", render)?.unwrap_or_default(),
+        materials,
+    };
+    scene.validate()?;
+    Ok(scene)
+}
+
+/// Reads one optional top-level table, naming it in errors.
+fn section<T>(
+    top: &Fields<'_>,
+    key: &str,
+    read: impl FnOnce(&Fields<'_>) -> Result<T, Fault>,
+) -> Result<Option<T>, SceneError> {
+    let Some(node) = top.node(key) else {
+        return Ok(None);
+    };
+    let value = Fields::of(node)
+        .and_then(|fields| read(&fields))
+        .map_err(|fault| fault.of(key, node.line))?;
+    Ok(Some(value))
+}
+
+fn heading(top: &Fields<'_>) -> Result<(String, String), Fault> {
+    top.only(&TOP_KEYS)?;
+    Ok((
+        top.need("name")?,
+        top.get("description")?.unwrap_or_default(),
+    ))
+}
+
+fn no_camera() -> SceneError {
+    let problem = "is missing; add a [camera] with origin, target, fov_y_deg, width and height";
+    Fault::from(problem.to_owned()).of("camera", None)
+}
+
+fn camera(fields: &Fields<'_>) -> Result<Camera, Fault> {
+    fields.only(&["origin", "target", "up", "fov_y_deg", "width", "height"])?;
+    let camera = Camera {
+        origin: fields.need("origin")?,
+        target: fields.need("target")?,
+        up: fields.get("up")?.unwrap_or(DVec3::Y),
+        fov_y_deg: fields.need("fov_y_deg")?,
+        width: fields.need("width")?,
+        height: fields.need("height")?,
+    };
+    validate::camera(&camera).map_err(|problem| fields.broken(problem))?;
+    Ok(camera)
+}
+
+fn environment(fields: &Fields<'_>) -> Result<DVec3, Fault> {
+    fields.only(&["radiance"])?;
+    let radiance = fields.need("radiance")?;
+    validate::light("radiance", radiance).map_err(|problem| fields.broken(problem))?;
+    Ok(radiance)
+}
+
+fn render(fields: &Fields<'_>) -> Result<Defaults, Fault> {
+    fields.only(&["spp", "max_bounces", "direct_light", "roulette"])?;
+    let usual = Defaults::default();
+    let defaults = Defaults {
+        spp: fields.get("spp")?.unwrap_or(usual.spp),
+        max_bounces: fields.get("max_bounces")?.unwrap_or(usual.max_bounces),
+        direct_light: fields.get("direct_light")?.unwrap_or(usual.direct_light),
+        roulette: fields.get("roulette")?.unwrap_or(usual.roulette),
+    };
+    validate::defaults(&defaults).map_err(|problem| fields.broken(problem))?;
+    Ok(defaults)
+}
+
+fn materials(node: Option<&Node>) -> Result<Vec<Material>, SceneError> {
+    let Some(node) = node else {
+        return Ok(Vec::new());
+    };
+    let Value::Table(table) = &node.value else {
+        let problem = format!(
+            "must be tables such as [materials.white], not {}",
+            node.describe()
+        );
+        return Err(Fault::from(problem).of("materials", node.line));
+    };
+    let read = |(name, node): (&String, &Node)| {
+        material(name, node).map_err(|fault| fault.of(&material_label(name), node.line))
+    };
+    table.iter().map(read).collect()
+}
+
+fn material(name: &str, node: &Node) -> Result<Material, Fault> {
+    let fields = Fields::of(node)?;
+    let kind = material_kind(&fields)?;
+    let emission = fields.get("emission")?.unwrap_or(DVec3::ZERO);
+    let material = Material {
+        name: name.to_owned(),
+        kind,
+        emission,
+    };
+    validate::material(&material).map_err(|problem| fields.broken(problem))?;
+    Ok(material)
+}
+
+fn material_kind(fields: &Fields<'_>) -> Result<MaterialKind, Fault> {
+    let kind: String = fields.need("type")?;
+    match kind.as_str() {
+        "diffuse" => {
+            fields.only(&["type", "color", "emission"])?;
+            Ok(MaterialKind::Diffuse {
+                color: fields.need("color")?,
+            })
+        }
+        "mirror" => {
+            fields.only(&["type", "color", "level", "emission"])?;
+            Ok(MaterialKind::Mirror {
+                color: fields.need("color")?,
+                level: fields.get("level")?.unwrap_or(1.0),
+            })
+        }
+        "glossy" => {
+            fields.only(&["type", "color", "exponent", "emission"])?;
+            Ok(MaterialKind::Glossy {
+                color: fields.need("color")?,
+                exponent: fields.need("exponent")?,
+            })
+        }
+        "dielectric" => {
+            fields.only(&["type", "tint", "ior", "emission"])?;
+            Ok(MaterialKind::Dielectric {
+                tint: fields.get("tint")?.unwrap_or(DVec3::ONE),
+                ior: fields.need("ior")?,
+            })
+        }
+        other => Err(unknown_type(fields, other, &MATERIAL_TYPES)),
+    }
+}
+
+fn shapes(node: Option<&Node>, names: &MaterialNames) -> Result<Vec<Shape>, SceneError> {
+    let Some(node) = node else {
+        return Ok(Vec::new());
+    };
+    let Value::List(list) = &node.value else {
+        let problem = format!("must be a list of [[shapes]], not {}", node.describe());
+        return Err(Fault::from(problem).of("shapes", node.line));
+    };
+    let mut shapes = Vec::with_capacity(list.len());
+    for (index, node) in list.iter().enumerate() {
+        let sides = shape(node, names)
+            .map_err(|fault| fault.of(&shape_label(index, shape_name(node)), node.line))?;
+        shapes.extend(sides);
+    }
+    Ok(shapes)
+}
+
+/// The name of a shape that may be otherwise invalid.
+fn shape_name(node: &Node) -> Option<&str> {
+    let Value::Table(table) = &node.value else {
+        return None;
+    };
+    match &table.get("name")?.value {
+        Value::Text(name) => Some(name),
+        _ => None,
+    }
+}
+
+fn shape(node: &Node, names: &MaterialNames) -> Result<Vec<Shape>, Fault> {
+    let fields = Fields::of(node)?;
+    let sides = geometry(&fields)?;
+    let name: Option<String> = fields.get("name")?;
+    let wanted: String = fields.need("material")?;
+    let line = fields.node("material").and_then(|node| node.line);
+    let material = material_index(&wanted, names).map_err(|problem| Fault::new(line, problem))?;
+    Ok(sides
+        .into_iter()
+        .map(|geometry| Shape {
+            name: name.clone(),
+            material,
+            geometry,
+        })
+        .collect())
+}
+
+fn geometry(fields: &Fields<'_>) -> Result<Vec<Geometry>, Fault> {
+    let kind: String = fields.need("type")?;
+    let geometry = match kind.as_str() {
+        "sphere" => {
+            fields.only(&["type", "name", "material", "center", "radius", "inward"])?;
+            let inward = fields.get("inward")?.unwrap_or(false);
+            Geometry::Sphere {
+                center: fields.need("center")?,
+                radius: fields.need("radius")?,
+                inward,
+            }
+        }
+        "quad" => {
+            fields.only(&["type", "name", "material", "corner", "e1", "e2"])?;
+            Geometry::Quad {
+                corner: fields.need("corner")?,
+                e1: fields.need("e1")?,
+                e2: fields.need("e2")?,
+            }
+        }
+        "box" => return boxed(fields),
+        other => return Err(unknown_type(fields, other, &SHAPE_TYPES)),
+    };
+    validate::geometry(&geometry).map_err(|problem| fields.broken(problem))?;
+    Ok(vec![geometry])
+}
+
+fn boxed(fields: &Fields<'_>) -> Result<Vec<Geometry>, Fault> {
+    fields.only(&["type", "name", "material", "center", "size", "rotate_y_deg"])?;
+    let (center, size) = (fields.need("center")?, fields.need("size")?);
+    let rotate_y_deg = fields.get("rotate_y_deg")?.unwrap_or(0.0);
+    validate::boxed(center, size, rotate_y_deg).map_err(|problem| fields.broken(problem))?;
+    Ok(box_quads(center, size, rotate_y_deg).to_vec())
+}
+
+/// The index of a material, or which name may have been meant.
+pub(super) fn material_index(name: &str, names: &MaterialNames) -> Result<usize, String> {
+    names.get(name).copied().ok_or_else(|| {
+        format!(
+            "unknown material {}{}",
+            quoted(name),
+            suggestion(name, names.keys().map(String::as_str))
+        )
+    })
+}
+
+/// Words of other renderers are translated, misspellings corrected.
+fn unknown_type(fields: &Fields<'_>, given: &str, known: &[&str]) -> Fault {
+    let translation = match given {
+        "glass" => "; use \"dielectric\"".to_owned(),
+        "lambert" | "lambertian" | "matte" => "; use \"diffuse\"".to_owned(),
+        "emitter" | "light" | "emissive" => "; use \"diffuse\" and give it an emission".to_owned(),
+        _ => suggestion(given, known.iter().copied()),
+    };
+    Fault::new(
+        fields.node("type").and_then(|node| node.line),
+        format!("unknown type {}{translation}", quoted(given)),
+    )
+}

@@ -1,0 +1,118 @@
+//! Scenes from files and text.
+
+use std::fs::File;
+use std::io::{ErrorKind, Read};
+use std::path::Path;
+
+use super::document::Node;
+use super::error::{Fault, quoted};
+use super::{Scene, SceneError, description};
+
+/// Larger files are refused unread.
+const LARGEST_FILE: u64 = 64 << 20;
+
+#[derive(Clone, Copy)]
+enum Format {
+    Toml,
+    Json,
+}
+
+impl Scene {
+    /// Reads and validates a `.toml` or `.json` file.
+    ///
+    /// # Errors
+    /// Files that are missing, not regular, above 64 MiB, not UTF-8 or of another extension; malformed text; and
+    /// everything that [`validate`](Self::validate) refuses. Each error names the file.
+    pub fn load(path: impl AsRef<Path>) -> Result<Self, SceneError> {
+        let path = path.as_ref();
+        let refuse = |problem| SceneError::File {
+            path: path.to_owned(),
+            problem,
+        };
+        let text = read(path).map_err(refuse)?;
+        let scene = match format(path).map_err(refuse)? {
+            Format::Toml => Self::from_toml(&text),
+            Format::Json => Self::from_json(&text),
+        };
+        scene.map_err(|error| error.in_file(path))
+    }
+
+    /// Reads and validates TOML text.
+    ///
+    /// # Errors
+    /// Malformed text, and everything that [`validate`](Self::validate) refuses.
+    pub fn from_toml(text: &str) -> Result<Self, SceneError> {
+        description::scene(&Node::from_toml(not_empty(text)?)?)
+    }
+
+    /// Reads and validates JSON text, with the keys of the TOML form.
+    ///
+    /// # Errors
+    /// As [`from_toml`](Self::from_toml).
+    pub fn from_json(text: &str) -> Result<Self, SceneError> {
+        description::scene(&Node::from_json(not_empty(text)?)?)
+    }
+}
+
+/// The text without a byte-order mark.
+fn not_empty(text: &str) -> Result<&str, SceneError> {
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+    if text.trim().is_empty() {
+        return Err(
+            Fault::from("is empty; give it a name and a [camera] at least".to_owned())
+                .of("scene", None),
+        );
+    }
+    Ok(text)
+}
+
+fn format(path: &Path) -> Result<Format, String> {
+    let extension = path.extension().unwrap_or_default().to_string_lossy();
+    match extension.to_ascii_lowercase().as_str() {
+        "toml" => Ok(Format::Toml),
+        "json" => Ok(Format::Json),
+        "" => Err("has no extension; scene files end in .toml or .json".to_owned()),
+        other => Err(format!(
+            "has the extension {}; scene files end in .toml or .json",
+            quoted(other)
+        )),
+    }
+}
+
+fn read(path: &Path) -> Result<String, String> {
+    let kind = std::fs::metadata(path).map_err(|error| io_problem(&error))?;
+    if kind.is_dir() {
+        return Err("is a directory; name a scene file in it".to_owned());
+    }
+    if !kind.is_file() {
+        return Err("is not a regular file; copy the scene into one".to_owned());
+    }
+    format(path)?;
+    let mut bytes = Vec::new();
+    let file = File::open(path).map_err(|error| io_problem(&error))?;
+    file.take(LARGEST_FILE + 1)
+        .read_to_end(&mut bytes)
+        .map_err(|error| io_problem(&error))?;
+    if bytes.len() as u64 > LARGEST_FILE {
+        return Err(format!(
+            "is larger than {} MiB; split the scene or describe less",
+            LARGEST_FILE >> 20
+        ));
+    }
+    String::from_utf8(bytes).map_err(|error| {
+        format!(
+            "is not UTF-8 text (byte {}); save it as plain text",
+            error.utf8_error().valid_up_to()
+        )
+    })
+}
+
+fn io_problem(error: &std::io::Error) -> String {
+    match error.kind() {
+        ErrorKind::NotFound => "no such file; check the path".to_owned(),
+        ErrorKind::PermissionDenied => {
+            "can't be read: permission denied; check its mode".to_owned()
+        }
+        _ => format!("can't be read: {error}"),
+    }
+}

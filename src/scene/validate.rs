@@ -1,0 +1,299 @@
+//! The rules a scene keeps, the same for files and for code. Each check returns what is wrong; callers name the object.
+
+use std::collections::HashSet;
+
+use glam::DVec3;
+
+use super::error::{Fault, quoted};
+use super::{Camera, Defaults, Geometry, Material, MaterialKind, Scene, SceneError, Shape};
+
+/// `Err` says what is wrong and the remedy, without the object's name.
+type Check = Result<(), String>;
+
+/// Sines below this count as parallel: f32 kernels can't tell such directions apart.
+const PARALLEL: f64 = 1e-6;
+const LONGEST_SIDE: u64 = 65_536;
+const MOST_PIXELS: u128 = 1 << 28;
+/// Film and output of one pixel.
+const BYTES_PER_PIXEL: u128 = 56;
+const MOST_BOUNCES: u32 = 64;
+const LARGEST_EXPONENT: f64 = 1e6;
+const LARGEST_IOR: f64 = 10.0;
+
+impl Scene {
+    /// Checks every rule; loading and building have done so already, so this is for scenes changed since.
+    ///
+    /// # Errors
+    /// The first rule broken, with the object and the remedy.
+    pub fn validate(&self) -> Result<(), SceneError> {
+        let named = |object: &str, check: Check| {
+            check.map_err(|problem| Fault::from(problem).of(object, None))
+        };
+        named("camera", camera(&self.camera))?;
+        named("environment", light("radiance", self.environment))?;
+        named("render", defaults(&self.defaults))?;
+        let mut names = HashSet::new();
+        for item in &self.materials {
+            let object = material_label(&item.name);
+            named(&object, material(item))?;
+            named(&object, unique(names.insert(&item.name)))?;
+        }
+        for (index, shape) in self.shapes.iter().enumerate() {
+            let object = shape_label(index, shape.name.as_deref());
+            named(&object, geometry(&shape.geometry))?;
+            named(&object, material_exists(shape, self.materials.len()))?;
+        }
+        Ok(())
+    }
+}
+
+/// Accepts an image size for rendering, as from `--size`.
+///
+/// # Errors
+/// Zero sides, sides above 65536, and images above 2²⁸ pixels, with the bytes those would need.
+pub fn check_image_size(width: u64, height: u64) -> Result<(u32, u32), SceneError> {
+    let refuse = |problem| {
+        Err(SceneError::ImageSize {
+            width,
+            height,
+            problem,
+        })
+    };
+    if let Err(problem) = side_lengths(width, height) {
+        return refuse(problem);
+    }
+    let pixels = u128::from(width) * u128::from(height);
+    if pixels > MOST_PIXELS {
+        let gib = (pixels * BYTES_PER_PIXEL) as f64 / f64::powi(2.0, 30);
+        return refuse(format!(
+            "would need {} bytes ({gib:.1} GiB) at {BYTES_PER_PIXEL} a pixel; stay within {MOST_PIXELS} pixels, e.g. 16384 × 16384",
+            pixels * BYTES_PER_PIXEL
+        ));
+    }
+    match (u32::try_from(width), u32::try_from(height)) {
+        (Ok(width), Ok(height)) => Ok((width, height)),
+        _ => refuse("is too large".to_owned()),
+    }
+}
+
+/// How messages call a material.
+pub(super) fn material_label(name: &str) -> String {
+    format!("material {}", quoted(name))
+}
+
+/// How messages call a shape: by its place in the list, from 0, and its name if any.
+pub(super) fn shape_label(index: usize, name: Option<&str>) -> String {
+    match name {
+        Some(name) => format!("shapes[{index}] {}", quoted(name)),
+        None => format!("shapes[{index}]"),
+    }
+}
+
+pub(super) fn unique(is_new: bool) -> Check {
+    ensure(is_new, || "is defined twice; rename one".into())
+}
+
+pub(super) fn camera(camera: &Camera) -> Check {
+    finite_vec("origin", camera.origin)?;
+    finite_vec("target", camera.target)?;
+    finite_vec("up", camera.up)?;
+    finite("fov_y_deg", camera.fov_y_deg)?;
+    if let Err(problem) = side_lengths(camera.width.into(), camera.height.into()) {
+        return Err(format!(
+            "image size {} × {} {problem}",
+            camera.width, camera.height
+        ));
+    }
+    let fov = camera.fov_y_deg;
+    ensure(fov as f32 > 0.0 && (fov as f32) < 180.0, || {
+        format!(
+            "fov_y_deg {fov} is not between 0 and 180; give the full vertical angle in degrees, such as 40"
+        )
+    })?;
+    let view = (camera.target.as_vec3() - camera.origin.as_vec3()).as_dvec3();
+    finite_vec("the distance from origin to target", view)?;
+    ensure(view.length() > 0.0, || {
+        "origin and target are the same point; move the target to what should be seen".into()
+    })?;
+    ensure(camera.up.as_vec3() != glam::Vec3::ZERO, || {
+        "up is zero; give a direction such as [0, 1, 0]".into()
+    })?;
+    ensure(!parallel(view, camera.up), || {
+        "up is parallel to the view; choose another up, such as [0, 0, 1]".into()
+    })
+}
+
+pub(super) fn defaults(defaults: &Defaults) -> Check {
+    ensure(defaults.spp >= 1, || {
+        "spp is 0; take at least 1 sample per pixel".into()
+    })?;
+    let bounces = defaults.max_bounces;
+    ensure((1..=MOST_BOUNCES).contains(&bounces), || {
+        format!("max_bounces {bounces} is out of range; use 1 to {MOST_BOUNCES}")
+    })
+}
+
+pub(super) fn material(material: &Material) -> Check {
+    ensure(!material.name.is_empty(), || {
+        "has no name; give it one that shapes can refer to".into()
+    })?;
+    light("emission", material.emission)?;
+    match material.kind {
+        MaterialKind::Diffuse { color } => light("color", color),
+        MaterialKind::Mirror { color, level } => {
+            light("color", color)?;
+            finite("level", level)?;
+            ensure((0.0..=1.0).contains(&level), || {
+                format!(
+                    "level {level} is not within 0 to 1; it is the chance of perfect reflection"
+                )
+            })
+        }
+        MaterialKind::Glossy { color, exponent } => {
+            light("color", color)?;
+            finite("exponent", exponent)?;
+            ensure((0.0..=LARGEST_EXPONENT).contains(&exponent), || {
+                format!(
+                    "exponent {exponent} is not within 0 to 1e6; use 0 for the widest lobe, a mirror beyond 1e6"
+                )
+            })
+        }
+        MaterialKind::Dielectric { tint, ior } => {
+            light("tint", tint)?;
+            refractive_index(ior)
+        }
+    }
+}
+
+fn refractive_index(ior: f64) -> Check {
+    finite("ior", ior)?;
+    ensure(ior > 0.0, || {
+        format!("ior {ior} must be positive; glass has 1.5, water 1.33")
+    })?;
+    ensure(ior >= 1.0, || {
+        format!("ior {ior} is below 1; swap interior and exterior")
+    })?;
+    ensure(ior <= LARGEST_IOR, || {
+        format!("ior {ior} is above 10; glass has 1.5, diamond 2.4")
+    })
+}
+
+/// Checks position, extent and shape; the material is not its affair.
+pub(super) fn geometry(geometry: &Geometry) -> Check {
+    match *geometry {
+        Geometry::Sphere { center, radius, .. } => sphere(center, radius),
+        Geometry::Quad { corner, e1, e2 } => quad(corner, e1, e2),
+    }
+}
+
+/// The rules for a box, before it becomes quads.
+pub(super) fn boxed(center: DVec3, size: DVec3, rotate_y_deg: f64) -> Check {
+    finite_vec("center", center)?;
+    finite_vec("size", size)?;
+    finite("rotate_y_deg", rotate_y_deg)?;
+    ensure(size.as_vec3().min_element() > 0.0, || {
+        format!(
+            "size {} must be positive on every axis; use a quad for something flat",
+            list(size)
+        )
+    })?;
+    let reach = DVec3::splat(size.length());
+    finite_vec("center + size", center + reach)
+        .and_then(|()| finite_vec("center - size", center - reach))
+}
+
+fn sphere(center: DVec3, radius: f64) -> Check {
+    finite_vec("center", center)?;
+    finite("radius", radius)?;
+    ensure(radius != 0.0, || {
+        "radius is 0; give a positive radius or remove the sphere".into()
+    })?;
+    ensure(radius > 0.0, || {
+        format!("radius {radius} is negative; use inward = true to turn a sphere inside out")
+    })?;
+    ensure(radius as f32 > 0.0, || {
+        format!("radius {radius:e} is 0 as a 32-bit float; scale the scene up")
+    })?;
+    finite_vec("center + radius", center + radius)
+        .and_then(|()| finite_vec("center - radius", center - radius))
+}
+
+fn quad(corner: DVec3, e1: DVec3, e2: DVec3) -> Check {
+    finite_vec("corner", corner)?;
+    for (key, edge) in [("e1", e1), ("e2", e2)] {
+        finite_vec(key, edge)?;
+        finite_vec(&format!("corner + {key}"), corner + edge)?;
+        ensure(edge.as_vec3() != glam::Vec3::ZERO, || {
+            format!("edge {key} is zero; give the vector along that side")
+        })?;
+    }
+    finite_vec("corner + e1 + e2", corner + e1 + e2)?;
+    ensure(!parallel(e1, e2), || {
+        format!(
+            "edges {} and {} are parallel, so it has no area; turn one of them",
+            list(e1),
+            list(e2)
+        )
+    })
+}
+
+fn material_exists(shape: &Shape, count: usize) -> Check {
+    let index = shape.material;
+    ensure(index < count, || {
+        format!("material index {index} is out of range; there are {count} materials")
+    })
+}
+
+fn side_lengths(width: u64, height: u64) -> Check {
+    ensure(width > 0 && height > 0, || {
+        "has no pixels; make width and height 1 or more".into()
+    })?;
+    ensure(width.max(height) <= LONGEST_SIDE, || {
+        format!("is too large; keep each side within {LONGEST_SIDE}")
+    })
+}
+
+/// Colours, radiance: finite and nowhere negative.
+pub(super) fn light(key: &str, color: DVec3) -> Check {
+    finite_vec(key, color)?;
+    ensure(color.min_element() >= 0.0, || {
+        format!(
+            "{key} {} is negative; light can't be, use 0 or more",
+            list(color)
+        )
+    })
+}
+
+fn finite_vec(key: &str, vector: DVec3) -> Check {
+    vector
+        .to_array()
+        .into_iter()
+        .try_for_each(|number| finite(key, number))
+}
+
+fn finite(key: &str, number: f64) -> Check {
+    ensure(!number.is_nan(), || {
+        format!("{key} is not a number (nan); write a finite one")
+    })?;
+    ensure(number.is_finite(), || {
+        format!("{key} is infinite; write a finite number")
+    })?;
+    ensure((number as f32).is_finite(), || {
+        format!(
+            "{key} {number:e} is too large for a 32-bit float; stay within ±3.4e38, or scale the scene down"
+        )
+    })
+}
+
+fn parallel(a: DVec3, b: DVec3) -> bool {
+    let (a, b) = (a / a.abs().max_element(), b / b.abs().max_element());
+    a.cross(b).length() <= PARALLEL * a.length() * b.length()
+}
+
+fn list(v: DVec3) -> String {
+    format!("[{}, {}, {}]", v.x, v.y, v.z)
+}
+
+fn ensure(holds: bool, problem: impl FnOnce() -> String) -> Check {
+    if holds { Ok(()) } else { Err(problem()) }
+}
