@@ -1,1 +1,21 @@
-//! Film.
+//! What a render leaves behind: sums per pixel ([`Film`]), the finished [`Image`] with its errors, and image files.
+
+mod accumulate;
+mod error;
+mod exr_file;
+mod image;
+mod metadata;
+mod png_file;
+mod read;
+mod srgb;
+#[cfg(test)]
+mod test_files;
+mod write;
+
+pub use accumulate::{BlockSum, Film, FilmError, PixelSum, luminance};
+pub use error::ImageError;
+pub use image::{Features, Image};
+pub use metadata::Metadata;
+pub use read::{MAX_PIXELS, read_image};
+pub use srgb::{linear_to_srgb, srgb_to_linear};
+pub use write::{WriteOptions, check_writable, write_image};
