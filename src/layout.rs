@@ -16,6 +16,10 @@ impl WgslType for glam::Vec3 {
     const NAME: &'static str = "vec3<f32>";
 }
 
+impl WgslType for [f32; 3] {
+    const NAME: &'static str = "array<f32, 3>";
+}
+
 /// One field of a shared struct.
 #[derive(Clone, Copy, Debug)]
 pub struct Field {

@@ -1,7 +1,7 @@
 //! Buffers by the name that the kernels call them. Only what some kernel binds is ever made.
 
 use super::device::Gpu;
-use crate::engine::RenderError;
+use super::error::GpuError;
 use std::collections::BTreeMap;
 use wgpu::BufferUsages;
 
@@ -18,11 +18,11 @@ impl Buffers {
         name: &str,
         size: u64,
         usage: BufferUsages,
-    ) -> Result<(), RenderError> {
+    ) -> Result<(), GpuError> {
         let size = size.max(16).next_multiple_of(16);
         let limit = gpu.summary.max_binding.min(gpu.summary.max_buffer);
         if usage.contains(BufferUsages::STORAGE) && size > limit {
-            return Err(RenderError::BufferTooLarge {
+            return Err(GpuError::BufferTooLarge {
                 adapter: gpu.summary.name.clone(),
                 buffer: name.to_string(),
                 bytes: size,
@@ -46,7 +46,7 @@ impl Buffers {
         name: &str,
         data: &[u8],
         usage: BufferUsages,
-    ) -> Result<(), RenderError> {
+    ) -> Result<(), GpuError> {
         self.create(gpu, name, data.len() as u64, usage | BufferUsages::COPY_DST)?;
         gpu.queue.write_buffer(self.get(name), 0, data);
         gpu.check()

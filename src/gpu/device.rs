@@ -1,7 +1,7 @@
 //! Adapters, the device and its failures.
 
 use super::kernel::Kernel;
-use crate::engine::RenderError;
+use super::error::GpuError;
 use std::sync::{Arc, Mutex};
 use wgpu::{Adapter, DeviceType, Features};
 
@@ -27,7 +27,7 @@ pub struct Gpu {
     pub device: wgpu::Device,
     pub queue: wgpu::Queue,
     pub summary: AdapterSummary,
-    failure: Arc<Mutex<Option<RenderError>>>,
+    failure: Arc<Mutex<Option<GpuError>>>,
 }
 
 fn instance() -> wgpu::Instance {
@@ -74,13 +74,13 @@ pub fn list_adapters() -> Vec<AdapterSummary> {
 
 impl Gpu {
     /// Opens the first adapter whose name contains `name` (any case), or the first of all.
-    pub fn open(name: Option<&str>) -> Result<Gpu, RenderError> {
+    pub fn open(name: Option<&str>) -> Result<Gpu, GpuError> {
         let all = adapters();
         let wanted = name.unwrap_or("").to_lowercase();
         let adapter = all
             .iter()
             .find(|a| a.get_info().name.to_lowercase().contains(&wanted))
-            .ok_or_else(|| RenderError::NoAdapter {
+            .ok_or_else(|| GpuError::NoAdapter {
                 wanted: name.map(str::to_string),
                 found: all.iter().map(|a| a.get_info().name).collect(),
             })?;
@@ -92,15 +92,15 @@ impl Gpu {
             ..Default::default()
         };
         let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
-            .map_err(|e| RenderError::Device { adapter: summary.name.clone(), reason: e.to_string() })?;
+            .map_err(|e| GpuError::Device { adapter: summary.name.clone(), reason: e.to_string() })?;
         let failure = Arc::new(Mutex::new(None));
         Gpu::watch(&device, &failure, &summary.name);
         Ok(Gpu { device, queue, summary, failure })
     }
 
     /// Keeps the first failure that the device reports by itself.
-    fn watch(device: &wgpu::Device, failure: &Arc<Mutex<Option<RenderError>>>, adapter: &str) {
-        let keep = |slot: &Arc<Mutex<Option<RenderError>>>, error: RenderError| {
+    fn watch(device: &wgpu::Device, failure: &Arc<Mutex<Option<GpuError>>>, adapter: &str) {
+        let keep = |slot: &Arc<Mutex<Option<GpuError>>>, error: GpuError| {
             if let Ok(mut slot) = slot.lock() {
                 slot.get_or_insert(error);
             }
@@ -110,20 +110,20 @@ impl Gpu {
             let reason = error.to_string();
             let adapter = name.clone();
             keep(&slot, match error {
-                wgpu::Error::OutOfMemory { .. } => RenderError::OutOfMemory { adapter, reason },
-                _ => RenderError::Device { adapter, reason },
+                wgpu::Error::OutOfMemory { .. } => GpuError::OutOfMemory { adapter, reason },
+                _ => GpuError::Device { adapter, reason },
             });
         }));
         let (slot, name) = (failure.clone(), adapter.to_string());
         device.set_device_lost_callback(move |reason, message| {
             if reason != wgpu::DeviceLostReason::Destroyed {
-                keep(&slot, RenderError::DeviceLost { adapter: name.clone(), reason: message });
+                keep(&slot, GpuError::DeviceLost { adapter: name.clone(), reason: message });
             }
         });
     }
 
     /// The first failure since the last call, if any.
-    pub fn check(&self) -> Result<(), RenderError> {
+    pub fn check(&self) -> Result<(), GpuError> {
         match self.failure.lock().ok().and_then(|mut slot| slot.take()) {
             Some(error) => Err(error),
             None => Ok(()),
@@ -131,24 +131,24 @@ impl Gpu {
     }
 
     /// Waits for everything submitted.
-    pub fn wait(&self) -> Result<(), RenderError> {
+    pub fn wait(&self) -> Result<(), GpuError> {
         let waited = self.device.poll(wgpu::PollType::wait_indefinitely());
         self.check()?;
-        waited.map(|_| ()).map_err(|e| RenderError::DeviceLost {
+        waited.map(|_| ()).map_err(|e| GpuError::DeviceLost {
             adapter: self.summary.name.clone(),
             reason: e.to_string(),
         })
     }
 
     /// Compiles a linked kernel.
-    pub fn kernel(&self, name: &str, wgsl: &str) -> Result<Kernel, RenderError> {
+    pub fn kernel(&self, name: &str, wgsl: &str) -> Result<Kernel, GpuError> {
         let kernel = Kernel::new(self, name, wgsl)?;
         self.check()?;
         Ok(kernel)
     }
 
     /// Copies `buffers` (each with its length in bytes) to the host. Waits.
-    pub fn read(&self, buffers: &[(&wgpu::Buffer, u64)]) -> Result<Vec<Vec<u8>>, RenderError> {
+    pub fn read(&self, buffers: &[(&wgpu::Buffer, u64)]) -> Result<Vec<Vec<u8>>, GpuError> {
         let mut encoder = self.device.create_command_encoder(&Default::default());
         let staging: Vec<wgpu::Buffer> = buffers
             .iter()
@@ -171,7 +171,7 @@ impl Gpu {
         staging
             .iter()
             .map(|buffer| {
-                let view = buffer.slice(..).get_mapped_range().map_err(|e| RenderError::DeviceLost {
+                let view = buffer.slice(..).get_mapped_range().map_err(|e| GpuError::DeviceLost {
                     adapter: self.summary.name.clone(),
                     reason: e.to_string(),
                 })?;

@@ -2,7 +2,7 @@
 
 use super::buffers::Buffers;
 use super::device::Gpu;
-use crate::engine::RenderError;
+use super::error::GpuError;
 
 #[derive(Debug)]
 pub struct Kernel {
@@ -13,8 +13,8 @@ pub struct Kernel {
 }
 
 /// Parses and reflects one linked kernel: its entry point and its bindings.
-pub fn reflect(name: &str, wgsl: &str) -> Result<(String, Vec<(u32, String)>), RenderError> {
-    let invalid = |reason: String| RenderError::Kernel { kernel: name.to_string(), reason };
+pub fn reflect(name: &str, wgsl: &str) -> Result<(String, Vec<(u32, String)>), GpuError> {
+    let invalid = |reason: String| GpuError::Kernel { kernel: name.to_string(), reason };
     let module = naga::front::wgsl::parse_str(wgsl)
         .map_err(|e| invalid(e.emit_to_string_with_path(wgsl, name)))?;
     let entry = module.entry_points.first().ok_or_else(|| invalid("has no entry point".into()))?;
@@ -28,7 +28,7 @@ pub fn reflect(name: &str, wgsl: &str) -> Result<(String, Vec<(u32, String)>), R
 }
 
 impl Kernel {
-    pub fn new(gpu: &Gpu, name: &str, wgsl: &str) -> Result<Kernel, RenderError> {
+    pub fn new(gpu: &Gpu, name: &str, wgsl: &str) -> Result<Kernel, GpuError> {
         let (entry, bindings) = reflect(name, wgsl)?;
         let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some(name),

@@ -2,6 +2,7 @@
 
 pub mod buffers;
 pub mod device;
+pub mod error;
 pub mod kernel;
 pub mod key;
 pub mod link;

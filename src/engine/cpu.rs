@@ -1,0 +1,108 @@
+//! The CPU engine: the transport functions over rayon. Also what renders where there is no GPU.
+
+use super::{CancelToken, Engine, EngineKind, RenderError, RenderStats};
+use crate::film::Film;
+use crate::random::Sampler;
+use crate::scene::compiled::{CompiledScene, Uniforms};
+use crate::transport::path::Transport;
+use rayon::prelude::*;
+use std::ops::Range;
+use std::time::Instant;
+
+pub struct CpuEngine {
+    scene: CompiledScene,
+    uniforms: Uniforms,
+    sampler: Sampler,
+    direct_light: bool,
+    roulette: bool,
+    stats: RenderStats,
+}
+
+/// How long a step should take, in seconds.
+const STEP_SECONDS: f64 = 0.25;
+
+impl CpuEngine {
+    pub fn new(
+        scene: CompiledScene,
+        uniforms: Uniforms,
+        sampler: Sampler,
+        direct_light: bool,
+        roulette: bool,
+    ) -> Self {
+        let direct_light = direct_light && !scene.lights.is_empty();
+        let stats = RenderStats {
+            engine: EngineKind::Cpu.to_string(),
+            device: format!("{} threads", rayon::current_num_threads()),
+            ..Default::default()
+        };
+        CpuEngine { scene, uniforms, sampler, direct_light, roulette, stats }
+    }
+
+    /// One pass: the samples `range` of every pixel, rows in parallel.
+    fn pass(&self, range: &Range<u32>, film: &mut Film, cancel: &CancelToken) {
+        let width = self.uniforms.width as usize;
+        let uniforms = Uniforms {
+            pixel_count: self.uniforms.width * self.uniforms.height,
+            first_sample: range.start,
+            sample_count: range.end - range.start,
+            ..self.uniforms
+        };
+        let transport = Transport {
+            scene: &self.scene,
+            uniforms: &uniforms,
+            sampler: self.sampler,
+            direct_light: self.direct_light,
+            roulette: self.roulette,
+        };
+        film.pixels_mut().par_chunks_mut(width).enumerate().for_each(|(row, pixels)| {
+            if cancel.is_cancelled() {
+                return;
+            }
+            for (column, pixel) in pixels.iter_mut().enumerate() {
+                for sample in 0..uniforms.sample_count {
+                    let index = (row * width + column) as u32;
+                    pixel.add(transport.trace(sample * uniforms.pixel_count + index));
+                }
+            }
+        });
+    }
+}
+
+impl Engine for CpuEngine {
+    fn kind(&self) -> EngineKind {
+        EngineKind::Cpu
+    }
+
+    fn device(&self) -> String {
+        self.stats.device.clone()
+    }
+
+    fn render(&mut self, range: Range<u32>, film: &mut Film, cancel: &CancelToken) -> Result<(), RenderError> {
+        let start = Instant::now();
+        let pixels = self.uniforms.width * self.uniforms.height;
+        // Paths of a pass are numbered in 32 bits.
+        let longest = (u32::MAX / pixels).max(1);
+        let mut sample = range.start;
+        while sample < range.end && !cancel.is_cancelled() {
+            let end = range.end.min(sample.saturating_add(longest));
+            self.pass(&(sample..end), film, cancel);
+            self.stats.paths += u64::from(pixels) * u64::from(end - sample);
+            sample = end;
+        }
+        self.stats.seconds += start.elapsed().as_secs_f64();
+        Ok(())
+    }
+
+    fn step_samples(&self) -> u32 {
+        if self.stats.paths == 0 {
+            return 1;
+        }
+        let pixels = f64::from(self.uniforms.width) * f64::from(self.uniforms.height);
+        let per_sample = self.stats.seconds / (self.stats.paths as f64 / pixels);
+        (STEP_SECONDS / per_sample.max(1e-9)).clamp(1.0, 4096.0) as u32
+    }
+
+    fn stats(&self) -> RenderStats {
+        self.stats.clone()
+    }
+}

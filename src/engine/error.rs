@@ -1,0 +1,13 @@
+//! Why a render could not start or go on.
+
+use crate::gpu::error::GpuError;
+
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum RenderError {
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+    #[error("{option} {value}: {remedy}")]
+    Option { option: &'static str, value: String, remedy: String },
+    #[error("sample {last} is beyond the last one, {max}; start at a lower --first-sample", max = u32::MAX)]
+    TooManySamples { last: u64 },
+}

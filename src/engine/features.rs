@@ -1,0 +1,44 @@
+//! First-hit albedo, normal and depth, for denoisers and compositing. Few rays, so always by the CPU twins.
+
+use crate::film::Features;
+use crate::random::{DIMENSION_CAMERA, Sampler, SampleKey, sample4};
+use crate::scene::camera::camera_ray;
+use crate::scene::compiled::{CompiledScene, Uniforms};
+use crate::scene::shapes::{intersect, shape_info, surface_at};
+use glam::{Vec3, Vec4Swizzles};
+use rayon::prelude::*;
+
+/// Rays per pixel: edges are smoothed as in the image.
+const SAMPLES: u32 = 16;
+
+/// Means over the pixel. Albedo and normal (world space, towards the viewer) are zero where nothing is hit; depth is the
+/// mean distance of the rays that hit, 0 if none does.
+pub fn features(scene: &CompiledScene, uniforms: &Uniforms) -> Features {
+    let pixels: Vec<(Vec3, Vec3, f32)> = (0..uniforms.width * uniforms.height)
+        .into_par_iter()
+        .map(|pixel| pixel_features(scene, uniforms, pixel))
+        .collect();
+    Features {
+        albedo: pixels.iter().map(|p| p.0.to_array()).collect(),
+        normal: pixels.iter().map(|p| p.1.to_array()).collect(),
+        depth: pixels.iter().map(|p| p.2).collect(),
+    }
+}
+
+fn pixel_features(scene: &CompiledScene, uniforms: &Uniforms, pixel: u32) -> (Vec3, Vec3, f32) {
+    let (mut albedo, mut normal, mut depth, mut hits) = (Vec3::ZERO, Vec3::ZERO, 0.0, 0u32);
+    for sample in 0..SAMPLES {
+        let key = SampleKey { pixel, sample, seed: uniforms.seed };
+        let u = sample4(Sampler::Stratified, key, DIMENSION_CAMERA);
+        let ray = camera_ray(uniforms, [pixel % uniforms.width, pixel / uniforms.width], u.xy());
+        let Some(hit) = intersect(scene, ray) else { continue };
+        let surface = surface_at(scene, ray, hit);
+        let towards_viewer = if ray.direction.dot(surface.normal) < 0.0 { 1.0 } else { -1.0 };
+        albedo += scene.materials[shape_info(scene, hit.shape).material as usize].color;
+        normal += surface.normal * towards_viewer;
+        depth += hit.t;
+        hits += 1;
+    }
+    let mean = 1.0 / SAMPLES as f32;
+    (albedo * mean, normal * mean, if hits > 0 { depth / hits as f32 } else { 0.0 })
+}

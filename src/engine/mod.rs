@@ -1,0 +1,54 @@
+//! Engines: three ways to run the same transport, behind one trait, and the renderer that chooses among them.
+
+mod batch;
+mod cpu;
+mod error;
+mod features;
+mod gpu_film;
+mod megakernel;
+mod options;
+mod renderer;
+mod stats;
+mod wavefront;
+
+pub use batch::Batch;
+pub use error::RenderError;
+pub use options::{EngineChoice, EngineKind, RenderOptions};
+pub use renderer::Renderer;
+pub use stats::RenderStats;
+
+use crate::film::Film;
+use std::ops::Range;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// A flag that another thread may set to end a render early; what was finished is kept.
+#[derive(Clone, Debug, Default)]
+pub struct CancelToken(Arc<AtomicBool>);
+
+impl CancelToken {
+    pub fn cancel(&self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+    pub fn is_cancelled(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+/// One way to run the transport. All engines trace the same paths from the same seed.
+pub trait Engine: Send {
+    fn kind(&self) -> EngineKind;
+
+    /// What it runs on, for people.
+    fn device(&self) -> String;
+
+    /// Adds the samples `range` of every pixel to the film. On cancellation or failure, what was added before stays, and
+    /// the film's counts say how much that is.
+    fn render(&mut self, range: Range<u32>, film: &mut Film, cancel: &CancelToken) -> Result<(), RenderError>;
+
+    /// Samples per pixel to ask for at once, so that a step is neither long nor wasteful.
+    fn step_samples(&self) -> u32;
+
+    /// What was built and spent so far.
+    fn stats(&self) -> RenderStats;
+}

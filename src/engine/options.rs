@@ -1,0 +1,88 @@
+//! What a caller may choose about a render.
+
+use super::RenderError;
+use crate::gpu::stage::Schedule;
+use crate::random::Sampler;
+use std::fmt;
+
+/// The engines, as they can be asked for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum EngineChoice {
+    /// A real GPU if there is one, else the CPU.
+    #[default]
+    Auto,
+    Cpu,
+    Wavefront,
+    Megakernel,
+}
+
+/// The engines, as they run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum EngineKind {
+    Cpu,
+    Wavefront,
+    Megakernel,
+}
+
+impl fmt::Display for EngineKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            EngineKind::Cpu => "cpu",
+            EngineKind::Wavefront => "wavefront",
+            EngineKind::Megakernel => "megakernel",
+        })
+    }
+}
+
+/// Options of a render; `None` means what the scene says.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RenderOptions {
+    /// Width and height in pixels.
+    pub size: Option<(u32, u32)>,
+    pub seed: u32,
+    pub engine: EngineChoice,
+    /// Part of the GPU's name.
+    pub adapter: Option<String>,
+    /// Next-event estimation combined with BSDF sampling.
+    pub direct_light: Option<bool>,
+    /// Russian roulette from the fourth surface on.
+    pub roulette: Option<bool>,
+    /// Levels of a path, 1 to 64: 1 shows only what emits, 2 adds direct light.
+    pub max_bounces: Option<u32>,
+    pub sampler: Sampler,
+    /// Number of the first sample of each pixel, to render a later part of the same image.
+    pub first_sample: u32,
+    /// How the wavefront engine runs a level; `None` is the one that measured fastest.
+    pub schedule: Option<Schedule>,
+    /// Rays that the wavefront engine keeps in flight; `None` suits the GPU.
+    pub pool: Option<u32>,
+}
+
+impl RenderOptions {
+    /// Defaults on the given engine.
+    pub fn on(engine: EngineChoice) -> Self {
+        RenderOptions { engine, ..Default::default() }
+    }
+
+    /// Defaults on the CPU engine, which needs no GPU.
+    pub fn cpu() -> Self {
+        Self::on(EngineChoice::Cpu)
+    }
+
+    pub(super) fn validate(&self) -> Result<(), RenderError> {
+        let refuse = |option, value: u32, remedy: &str| {
+            Err(RenderError::Option { option, value: value.to_string(), remedy: remedy.to_string() })
+        };
+        if let Some(levels) = self.max_bounces
+            && !(1..=64).contains(&levels)
+        {
+            return refuse("--max-bounces", levels, "choose 1 to 64");
+        }
+        if let Some(pool) = self.pool
+            && !(256..=1 << 26).contains(&pool)
+        {
+            return refuse("--pool", pool, "choose 256 to 67108864 rays");
+        }
+        Ok(())
+    }
+}
