@@ -30,6 +30,8 @@ pub enum StatsError {
     BadAlpha(f64),
     #[error("blocks of 0 pixels hold nothing; the usual choice is 8")]
     EmptyBlock,
+    #[error("{0} pixels per degree is not a display; the usual choice is 67, between 1 and 1000")]
+    BadPixelsPerDegree(f64),
     #[error("an image without pixels can't be compared")]
     EmptyImage,
     #[error(

@@ -24,6 +24,9 @@ pub fn flip_map(
     pixels_per_degree: f64,
 ) -> Result<Vec<f32>, StatsError> {
     check_pair(a, b)?;
+    if !(1.0..=1000.0).contains(&pixels_per_degree) {
+        return Err(StatsError::BadPixelsPerDegree(pixels_per_degree));
+    }
     let (a, b) = (
         Perceived::new(a, pixels_per_degree),
         Perceived::new(b, pixels_per_degree),
@@ -235,7 +238,7 @@ fn linear_to_xyz([r, g, b]: [f32; 3]) -> [f32; 3] {
 fn xyz_to_linear([x, y, z]: [f32; 3]) -> [f32; 3] {
     [
         3.241_003_3 * x - 1.537_399 * y - 0.498_615_9 * z,
-        -0.969_224_25 * x + 1.875_93 * y + 0.041_554_226 * z,
+        -0.969_224_3 * x + 1.875_93 * y + 0.041_554_226 * z,
         0.055_639_42 * x - 0.204_011_2 * y + 1.057_148_9 * z,
     ]
 }
@@ -369,6 +372,14 @@ mod tests {
                     .iter()
                     .all(|v| v.abs() < 1e-4)
             );
+        }
+    }
+
+    #[test]
+    fn displays_that_can_not_be_are_errors() {
+        let a = constant([0.5; 3]);
+        for ppd in [0.0, -67.0, 1e9, f64::NAN] {
+            assert!(flip(&a.exact(), &a.exact(), ppd).is_err());
         }
     }
 
