@@ -1,5 +1,6 @@
 //! Sums of samples. Adding and merging only add, so a render cut into shards is put together by adding them.
 
+use crate::gpu_struct;
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -63,12 +64,12 @@ impl PixelSum {
     }
 }
 
-/// What a GPU returns for one pixel: f32 sums over a batch small enough for f32 (a few thousand samples).
-#[derive(Debug, Clone, Copy, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
-#[repr(C)]
-pub struct BlockSum {
-    pub sum: [f32; 3],
-    pub sum_sq: [f32; 3],
+gpu_struct! {
+    /// What a GPU returns for one pixel: f32 sums over a block of samples small enough for f32.
+    pub struct BlockSum {
+        sum: [f32; 3],
+        sum_sq: [f32; 3],
+    }
 }
 
 /// Luminance of linear sRGB (Rec. 709 primaries).

@@ -31,7 +31,7 @@ impl KernelKey {
     pub fn new(scene: &CompiledScene, direct_light: bool, roulette: bool, sampler: Sampler) -> Self {
         let kinds = scene.kinds();
         let is_quad = |shape: u32| scene.quad_index(shape).is_some();
-        let direct_light = direct_light && !scene.lights.is_empty() && smooth(&kinds);
+        let direct_light = direct_light && !scene.lights.is_empty() && non_delta(&kinds);
         KernelKey {
             spheres: !scene.spheres.is_empty(),
             quads: !scene.quads.is_empty(),
@@ -61,7 +61,7 @@ impl KernelKey {
             ("mirror", self.kinds[KIND_MIRROR as usize]),
             ("glossy", self.kinds[KIND_GLOSSY as usize]),
             ("dielectric", self.kinds[KIND_DIELECTRIC as usize]),
-            ("smooth", smooth(&self.kinds)),
+            ("non_delta", non_delta(&self.kinds)),
             ("environment", self.environment),
             ("direct_light", self.direct_light),
             ("sphere_lights", self.sphere_lights),
@@ -83,7 +83,7 @@ impl KernelKey {
 }
 
 /// Whether any material present has a lobe that is not a delta.
-fn smooth(kinds: &[bool; KINDS]) -> bool {
+fn non_delta(kinds: &[bool; KINDS]) -> bool {
     kinds.iter().enumerate().any(|(kind, &present)| present && kind as u32 != KIND_DIELECTRIC)
 }
 

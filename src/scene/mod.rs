@@ -38,6 +38,10 @@
 //! ```
 
 mod boxes;
+pub mod camera;
+pub mod compiled;
+pub mod shapes;
+
 mod builder;
 mod description;
 mod document;

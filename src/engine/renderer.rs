@@ -1,0 +1,161 @@
+//! The renderer: chooses an engine and fills a film, step by step.
+
+use super::cpu::CpuEngine;
+use super::features::features;
+use super::megakernel::MegakernelEngine;
+use super::wavefront::WavefrontEngine;
+use super::{CancelToken, Engine, EngineChoice, EngineKind, RenderError, RenderOptions, RenderStats};
+use crate::film::{Film, Image};
+use crate::gpu::device::Gpu;
+use crate::gpu::key::KernelKey;
+use crate::scene::compiled::{CompiledScene, Uniforms};
+use crate::scene::Scene;
+
+/// Renders a scene progressively. Nothing is printed and nothing is global; it may be sent to another thread.
+pub struct Renderer {
+    engine: Box<dyn Engine>,
+    film: Film,
+    compiled: CompiledScene,
+    uniforms: Uniforms,
+    scene_name: String,
+    first_sample: u32,
+    samples: u32,
+    cancel: CancelToken,
+    notices: Vec<String>,
+}
+
+impl Renderer {
+    /// Prepares the scene for the engine that the options ask for, or the best there is.
+    pub fn new(scene: &Scene, options: RenderOptions) -> Result<Renderer, RenderError> {
+        options.validate()?;
+        let compiled = CompiledScene::new(scene);
+        let (width, height) = options.size.unwrap_or((scene.camera.width, scene.camera.height));
+        let mut uniforms = compiled.uniforms(&scene.camera, width, height, options.seed);
+        uniforms.max_bounces = options.max_bounces.unwrap_or(scene.defaults.max_bounces);
+        let mut notices = Vec::new();
+        let engine = build_engine(scene, &options, &compiled, uniforms, &mut notices)?;
+        Ok(Renderer {
+            engine,
+            film: Film::new(width, height),
+            compiled,
+            uniforms,
+            scene_name: scene.name.clone(),
+            first_sample: options.first_sample,
+            samples: 0,
+            cancel: CancelToken::default(),
+            notices,
+        })
+    }
+
+    /// Renders up to `samples` further samples of each pixel, fewer if that would take long; returns how many it did.
+    /// After cancellation or an error the image of what was done before is still there.
+    pub fn step(&mut self, samples: u32) -> Result<u32, RenderError> {
+        let first = self.first_sample.checked_add(self.samples);
+        let Some((first, end)) = first.and_then(|f| Some((f, f.checked_add(samples)?))) else {
+            let last = u64::from(self.first_sample) + u64::from(self.samples) + u64::from(samples);
+            return Err(RenderError::TooManySamples { last });
+        };
+        let wanted = self.engine.step_samples().max(1);
+        // Steps end at multiples of what the engine likes, so that their blocks of samples do not depend on the steps.
+        let step_end = end.min((first / wanted).saturating_add(1).saturating_mul(wanted));
+        self.engine.render(first..step_end, &mut self.film, &self.cancel)?;
+        if self.cancel.is_cancelled() {
+            return Ok(0);
+        }
+        self.samples += step_end - first;
+        Ok(step_end - first)
+    }
+
+    /// Samples of each pixel finished so far.
+    pub fn samples(&self) -> u32 {
+        self.samples
+    }
+
+    /// Sums so far; merge films of other sample ranges into one to put a distributed render together.
+    pub fn film(&self) -> &Film {
+        &self.film
+    }
+
+    /// The image so far with its standard errors; metadata says scene, seed, samples, engine and version.
+    pub fn image(&self) -> Image {
+        let mut image = self.film.image();
+        let metadata = &mut image.metadata;
+        metadata.set("scene", &self.scene_name);
+        metadata.set("seed", self.uniforms.seed);
+        metadata.set("first_sample", self.first_sample);
+        metadata.set("samples", self.film.samples().1);
+        metadata.set("engine", self.engine.kind());
+        metadata.set("device", self.engine.device());
+        metadata.set("software", concat!("qtracer ", env!("CARGO_PKG_VERSION")));
+        image
+    }
+
+    /// The image so far with first-hit albedo, normal and depth, which cost 16 further rays a pixel on the CPU.
+    pub fn image_with_features(&self) -> Image {
+        Image { features: Some(features(&self.compiled, &self.uniforms)), ..self.image() }
+    }
+
+    /// Cancels [`Renderer::step`] from another thread.
+    pub fn cancel_token(&self) -> CancelToken {
+        self.cancel.clone()
+    }
+
+    /// The engine that was chosen.
+    pub fn engine(&self) -> EngineKind {
+        self.engine.kind()
+    }
+
+    /// What it runs on.
+    pub fn device(&self) -> String {
+        self.engine.device()
+    }
+
+    /// Things a user should know about the choices made, such as falling back to the CPU.
+    pub fn notices(&self) -> &[String] {
+        &self.notices
+    }
+
+    pub fn stats(&self) -> RenderStats {
+        self.engine.stats()
+    }
+}
+
+fn build_engine(
+    scene: &Scene,
+    options: &RenderOptions,
+    compiled: &CompiledScene,
+    uniforms: Uniforms,
+    notices: &mut Vec<String>,
+) -> Result<Box<dyn Engine>, RenderError> {
+    let direct_light = options.direct_light.unwrap_or(scene.defaults.direct_light);
+    let roulette = options.roulette.unwrap_or(scene.defaults.roulette);
+    let cpu = || {
+        let engine = CpuEngine::new(compiled.clone(), uniforms, options.sampler, direct_light, roulette);
+        Ok(Box::new(engine) as Box<dyn Engine>)
+    };
+    let key = KernelKey::new(compiled, direct_light, roulette, options.sampler);
+    let adapter = options.adapter.as_deref();
+    match options.engine {
+        EngineChoice::Cpu => cpu(),
+        EngineChoice::Megakernel => {
+            Ok(Box::new(MegakernelEngine::new(Gpu::open(adapter)?, compiled, uniforms, key)?))
+        }
+        EngineChoice::Wavefront => {
+            Ok(Box::new(WavefrontEngine::new(Gpu::open(adapter)?, compiled, uniforms, key, options)?))
+        }
+        EngineChoice::Auto => match Gpu::open(adapter) {
+            Ok(gpu) if !gpu.summary.software || adapter.is_some() => {
+                Ok(Box::new(WavefrontEngine::new(gpu, compiled, uniforms, key, options)?))
+            }
+            Ok(gpu) => {
+                notices.push(format!("the only adapter is a software one ({}): using the CPU engine", gpu.summary.name));
+                cpu()
+            }
+            Err(_) if adapter.is_none() => {
+                notices.push("no GPU found: using the CPU engine".to_string());
+                cpu()
+            }
+            Err(error) => Err(error.into()),
+        },
+    }
+}

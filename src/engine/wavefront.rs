@@ -1,0 +1,240 @@
+//! The wavefront engine: a kernel per stage, rays in explicit bounded queues. The host records levels; the queues'
+//! lengths stay on the GPU, where they become indirect arguments. docs/KERNELS.md tells the stages' contracts.
+
+use super::batch::{batch_samples, batches};
+use super::gpu_film::{GpuFilm, Pacer};
+use super::{Batch, CancelToken, Engine, EngineKind, RenderError, RenderOptions, RenderStats};
+use crate::film::Film;
+use crate::gpu::device::Gpu;
+use crate::gpu::error::GpuError;
+use crate::gpu::key::{KIND_NAMES, KernelKey};
+use crate::gpu::stage::{Counter, Stage, argument_words, counter_words};
+use crate::scene::compiled::{CompiledScene, Uniforms};
+use crate::transport::items::{HitItem, RayItem, ShadowItem};
+use std::ops::Range;
+use std::time::Instant;
+use wgpu::BufferUsages;
+
+/// Rays in flight by kind of adapter, where --pool does not say.
+const POOL: u32 = 1 << 22;
+const POOL_INTEGRATED: u32 = 1 << 20;
+const POOL_SOFTWARE: u32 = 1 << 16;
+
+pub struct WavefrontEngine {
+    gpu: GpuFilm,
+    /// Stages of a level, in order; the last of `gpu.kernels`, resolve, is not among them.
+    level: Vec<Stage>,
+    /// Bind groups of each stage of a level when it reads the first ray queue, and when it reads the second.
+    binds: Vec<[wgpu::BindGroup; 2]>,
+    resolve: Option<wgpu::BindGroup>,
+    pool: u32,
+    pacer: Pacer,
+    /// Levels that the last batch needed: how many to record at first.
+    expected_levels: u32,
+}
+
+impl WavefrontEngine {
+    pub fn new(
+        gpu: Gpu,
+        scene: &CompiledScene,
+        uniforms: Uniforms,
+        key: KernelKey,
+        options: &RenderOptions,
+    ) -> Result<Self, RenderError> {
+        let pool = options.pool.unwrap_or(match (gpu.summary.software, gpu.summary.integrated) {
+            (true, _) => POOL_SOFTWARE,
+            (_, true) => POOL_INTEGRATED,
+            _ => POOL,
+        });
+        let schedule = options.schedule.unwrap_or_default();
+        let mut level = Stage::wavefront(&key, schedule);
+        let gpu = GpuFilm::new(gpu, scene, uniforms, key, &level, schedule, "wavefront")?;
+        level.retain(|&stage| stage != Stage::Resolve);
+        let expected_levels = uniforms.max_bounces + 1;
+        Ok(WavefrontEngine {
+            gpu,
+            level,
+            binds: Vec::new(),
+            resolve: None,
+            pool,
+            pacer: Pacer::new(4),
+            expected_levels,
+        })
+    }
+
+    /// Rays per queue for a batch: the pool, less if the batch is smaller or a binding can't hold it.
+    fn capacity(&self, batch: &Batch) -> u32 {
+        let hit_bytes = size_of::<HitItem>() as u64 * u64::from(self.gpu.key.hit_queues());
+        let widest = hit_bytes.max(size_of::<RayItem>() as u64);
+        let fitting = self.gpu.gpu.summary.max_binding.min(self.gpu.gpu.summary.max_buffer) / widest;
+        self.pool.min(batch.paths()).min(fitting.min(u64::from(u32::MAX)) as u32)
+    }
+
+    /// Makes queues and bind groups for batches of this size.
+    fn prepare(&mut self, batch: &Batch) -> Result<(), RenderError> {
+        let capacity = self.capacity(batch);
+        let grown = self.gpu.reserve(batch)?;
+        if !grown && !self.binds.is_empty() && self.gpu.uniforms.capacity >= capacity {
+            return Ok(());
+        }
+        self.gpu.uniforms.capacity = capacity.max(self.gpu.uniforms.capacity);
+        self.create_queues()?;
+        let gpu = &self.gpu;
+        let bind = |stage: Stage, names: &[(&str, &str)]| {
+            gpu.kernels[&stage].bind(&gpu.gpu, &gpu.buffers, names)
+        };
+        self.binds = self
+            .level
+            .iter()
+            .map(|&stage| {
+                // Generation appends to the queue that the rest of the level reads.
+                let out = |this, other| if stage == Stage::Generate { this } else { other };
+                [
+                    bind(stage, &[("rays_in", "rays_a"), ("rays_out", out("rays_a", "rays_b"))]),
+                    bind(stage, &[("rays_in", "rays_b"), ("rays_out", out("rays_b", "rays_a"))]),
+                ]
+            })
+            .collect();
+        self.resolve = Some(bind(Stage::Resolve, &[]));
+        Ok(())
+    }
+
+    /// The queues that some kernel binds, at the capacity in the uniforms.
+    fn create_queues(&mut self) -> Result<(), RenderError> {
+        let capacity = u64::from(self.gpu.uniforms.capacity);
+        let queue_bytes = [
+            ("rays_a", size_of::<RayItem>() as u64, true),
+            ("rays_b", size_of::<RayItem>() as u64, true),
+            ("hits", size_of::<HitItem>() as u64 * u64::from(self.gpu.key.hit_queues()), self.gpu.is_bound("hits")),
+            ("shadows", size_of::<ShadowItem>() as u64, self.gpu.is_bound("shadows")),
+        ];
+        let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC | BufferUsages::COPY_DST;
+        for (name, item_bytes, bound) in queue_bytes {
+            if bound {
+                self.gpu.buffers.create(&self.gpu.gpu, name, item_bytes * capacity, usage)?;
+            }
+        }
+        let words = |count: u32| u64::from(count) * 4;
+        let key = self.gpu.key;
+        self.gpu.buffers.create(&self.gpu.gpu, "counters", words(counter_words(&key)), usage)?;
+        self.gpu.buffers.create(
+            &self.gpu.gpu,
+            "arguments",
+            words(argument_words(&key)),
+            usage | BufferUsages::INDIRECT,
+        )?;
+        self.gpu.stats.buffers = self.gpu.buffers.bytes();
+        Ok(())
+    }
+
+    /// Runs levels until the batch is done; false if cancelled.
+    fn trace(&mut self, batch: &Batch, cancel: &CancelToken) -> Result<bool, RenderError> {
+        self.gpu.write_uniforms(&self.gpu.batch_uniforms(batch));
+        let mut counters = vec![0u32; counter_words(&self.gpu.key) as usize];
+        self.gpu.gpu.queue.write_buffer(self.gpu.buffers.get("counters"), 0, bytemuck::cast_slice(&counters));
+        let mut level = 0;
+        loop {
+            if cancel.is_cancelled() {
+                return Ok(false);
+            }
+            let remaining = self.expected_levels.saturating_sub(level).max(4);
+            let count = self.pacer.amount().min(remaining);
+            let (status, seconds) = self.submit_levels(level, count)?;
+            self.pacer.observe(count, seconds);
+            level += count;
+            counters = bytemuck::pod_collect_to_vec(&status);
+            self.check_overflow(&counters)?;
+            let counter = |c: Counter| counters[c as usize];
+            let flying = counter(Counter::Survivors) + counter(Counter::Shadows);
+            if flying == 0 && counter(Counter::NextPath) == batch.paths() {
+                break;
+            }
+        }
+        self.expected_levels = level;
+        self.gpu.stats.iterations += u64::from(level);
+        self.gpu.stats.rays += u64::from(counters[Counter::Rays as usize]);
+        Ok(true)
+    }
+
+    /// Submits `count` levels, the first of which is number `first`, and reads the counters behind them.
+    fn submit_levels(&mut self, first: u32, count: u32) -> Result<(Vec<u8>, f64), RenderError> {
+        let (level, binds) = (&self.level, &self.binds);
+        self.gpu.submit(Some("counters"), |gpu, pass| {
+            for i in first..first + count {
+                record_level(gpu, level, binds, pass, (i % 2) as usize);
+            }
+        })
+    }
+
+    /// A queue that ran over is an error, never a darker image.
+    fn check_overflow(&self, counters: &[u32]) -> Result<(), RenderError> {
+        let overflow = counters[Counter::Overflow as usize];
+        if overflow == 0 {
+            return Ok(());
+        }
+        let key = &self.gpu.key;
+        let mut names: Vec<String> = vec!["overflow", "survivors", "live", "fresh", "paths", "shadows", "", "rays"]
+            .into_iter()
+            .map(str::to_string)
+            .collect();
+        names.extend((0..4).filter(|&k| key.kinds[k]).map(|k| format!("{} hits", KIND_NAMES[k])));
+        names.push("environment".to_string());
+        let queues: Vec<&str> =
+            names.iter().enumerate().filter(|(i, _)| overflow >> i & 1 == 1).map(|(_, n)| n.as_str()).collect();
+        Err(GpuError::QueueOverflow { queues: queues.join(", ") }.into())
+    }
+}
+
+/// Records one level of all paths in flight; `parity` says which ray queue it reads.
+fn record_level(
+    gpu: &GpuFilm,
+    level: &[Stage],
+    binds: &[[wgpu::BindGroup; 2]],
+    pass: &mut wgpu::ComputePass,
+    parity: usize,
+) {
+    for (stage, binds) in level.iter().zip(binds) {
+        pass.set_pipeline(&gpu.kernels[stage].pipeline);
+        pass.set_bind_group(0, &binds[parity], &[]);
+        match stage.argument(&gpu.key) {
+            Some(slot) => {
+                pass.dispatch_workgroups_indirect(gpu.buffers.get("arguments"), 12 * u64::from(slot));
+            }
+            None => pass.dispatch_workgroups(1, 1, 1),
+        }
+    }
+}
+
+impl Engine for WavefrontEngine {
+    fn kind(&self) -> EngineKind {
+        EngineKind::Wavefront
+    }
+
+    fn device(&self) -> String {
+        self.gpu.stats.device.clone()
+    }
+
+    fn render(&mut self, range: Range<u32>, film: &mut Film, cancel: &CancelToken) -> Result<(), RenderError> {
+        let start = Instant::now();
+        let pixels = self.gpu.uniforms.width * self.gpu.uniforms.height;
+        for batch in batches(pixels, range, self.gpu.max_paths) {
+            self.prepare(&batch)?;
+            if !self.trace(&batch, cancel)? {
+                break;
+            }
+            if let Some(resolve) = &self.resolve {
+                self.gpu.resolve(&batch, resolve, film)?;
+            }
+        }
+        self.gpu.stats.seconds += start.elapsed().as_secs_f64();
+        Ok(())
+    }
+
+    fn step_samples(&self) -> u32 {
+        batch_samples(self.gpu.uniforms.width * self.gpu.uniforms.height, self.gpu.max_paths)
+    }
+
+    fn stats(&self) -> RenderStats {
+        self.gpu.stats.clone()
+    }
+}
