@@ -95,9 +95,11 @@ impl GpuFilm {
             ("materials", bytemuck::cast_slice(&scene.materials)),
             ("lights", bytemuck::cast_slice(&scene.lights)),
         ];
+        let small = self.key.small_scene.is_some();
+        let usage = if small { BufferUsages::UNIFORM } else { BufferUsages::STORAGE };
         for (name, data) in arrays {
             if self.is_bound(name) {
-                self.buffers.upload(&self.gpu, name, data, BufferUsages::STORAGE)?;
+                self.buffers.upload(&self.gpu, name, data, usage)?;
             }
         }
         let size = size_of::<Uniforms>() as u64;

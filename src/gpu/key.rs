@@ -25,6 +25,22 @@ pub struct KernelKey {
     pub quad_lights: bool,
     pub roulette: bool,
     pub stratified: bool,
+    /// Lengths of the scene's arrays (spheres, quads, materials, lights) if they fit into uniform buffers.
+    pub small_scene: Option<[u32; 4]>,
+}
+
+/// Bytes of a uniform buffer that every adapter binds.
+const UNIFORM_BYTES: usize = 1 << 16;
+
+fn small_scene(scene: &CompiledScene) -> Option<[u32; 4]> {
+    let fits = size_of_val(&scene.spheres[..]) <= UNIFORM_BYTES
+        && size_of_val(&scene.quads[..]) <= UNIFORM_BYTES
+        && size_of_val(&scene.materials[..]) <= UNIFORM_BYTES
+        && size_of_val(&scene.lights[..]) <= UNIFORM_BYTES;
+    let length = |n: usize| n.max(1) as u32;
+    fits.then(|| {
+        [scene.spheres.len(), scene.quads.len(), scene.materials.len(), scene.lights.len()].map(length)
+    })
 }
 
 impl KernelKey {
@@ -42,6 +58,7 @@ impl KernelKey {
             quad_lights: direct_light && scene.lights.iter().any(|l| is_quad(l.shape)),
             roulette,
             stratified: sampler == Sampler::Stratified,
+            small_scene: small_scene(scene),
         }
     }
 
@@ -68,6 +85,7 @@ impl KernelKey {
             ("quad_lights", self.quad_lights),
             ("roulette", self.roulette),
             ("stratified", self.stratified),
+            ("small_scene", self.small_scene.is_some()),
         ]
     }
 
