@@ -1,5 +1,5 @@
 //! Structs shared with the GPU, declared once: the Rust struct is the declaration, its WGSL text is generated from it,
-//! and a test compares naga's offsets with Rust's (`tests/layout.rs`).
+//! and a test compares naga's offsets with Rust's (`tests/suite/kernels.rs`).
 
 /// A Rust type that has a WGSL counterpart of the same size.
 pub trait WgslType {

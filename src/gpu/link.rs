@@ -73,16 +73,27 @@ fn item_declarations() -> String {
     .join("\n")
 }
 
-/// The WGSL of one stage for scenes with this key. A flag that no one set is an error, so a misspelt one is found.
+/// The WGSL of one stage for scenes with this key.
 pub fn link(stage: Stage, key: &KernelKey, schedule: Schedule) -> Result<String, LinkError> {
+    link_modules(MODULES, stage, key, schedule)
+}
+
+/// [`link`] from other sources than [`MODULES`]: tests break them on purpose. A flag that no one set is an error, so a
+/// misspelt one is found.
+pub fn link_modules(
+    modules: &[(&str, &str)],
+    stage: Stage,
+    key: &KernelKey,
+    schedule: Schedule,
+) -> Result<String, LinkError> {
     let error = |reason: String| LinkError { kernel: stage.name(), reason };
     let path = |name: &str| -> Result<ModulePath, LinkError> {
         let path = format!("package::{}", name.replace('/', "::"));
         path.parse().map_err(|e| error(format!("{path}: {e:?}")))
     };
     let mut sources = VirtualResolver::new();
-    for (name, text) in MODULES {
-        sources.add_module(path(name)?, Cow::Borrowed(text));
+    for (name, text) in modules {
+        sources.add_module(path(name)?, Cow::Borrowed(*text));
     }
     sources.add_module(path("items")?, item_declarations().into());
     sources.add_module(path("key")?, stage.constants(key).into());

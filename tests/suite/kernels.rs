@@ -1,0 +1,370 @@
+//! The kernels as text: they link for every key, are valid, have the layouts that Rust has, and hold only what is needed.
+
+use crate::support::{Engine, SCHEDULES, render, root, scene, scene_names, small};
+use naga::TypeInner;
+use qtracer::film::BlockSum;
+use qtracer::gpu::key::KernelKey;
+use qtracer::gpu::link::{MODULES, link};
+use qtracer::gpu::stage::{GRID_WIDTH, Schedule, Stage, WORKGROUP};
+use qtracer::layout::GpuStruct;
+use qtracer::random::{DIMENSION_CAMERA, dimension_bsdf, dimension_light};
+use qtracer::scene::Material as SceneMaterial;
+use qtracer::scene::compiled::{self, CompiledScene, Light, Material, Quad, Sphere, Uniforms};
+use qtracer::scene::shapes::{RELATIVE_OFFSET, T_MISS};
+use qtracer::transport::items::{HitItem, RayItem, ShadowItem};
+use qtracer::transport::path::ROULETTE_FROM_BOUNCE;
+use qtracer::{Sampler, Scene};
+use std::collections::{BTreeMap, BTreeSet};
+
+fn validate(wgsl: &str) -> naga::Module {
+    let module =
+        naga::front::wgsl::parse_str(wgsl).unwrap_or_else(|e| panic!("{}\n{wgsl}", e.emit_to_string(wgsl)));
+    naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty())
+        .validate(&module)
+        .unwrap_or_else(|e| panic!("{}\n{wgsl}", e.emit_to_string(wgsl)));
+    module
+}
+
+fn all_stages(key: &KernelKey) -> Vec<(Stage, Schedule)> {
+    let mut stages: Vec<_> = Stage::megakernel().into_iter().map(|s| (s, Schedule::Fused)).collect();
+    for schedule in SCHEDULES {
+        stages.extend(Stage::wavefront(key, schedule).into_iter().map(|s| (s, schedule)));
+    }
+    stages
+}
+
+/// All linked kernels of a scene, by name and schedule.
+fn linked(scene: &Scene, direct_light: bool, roulette: bool) -> Vec<(String, String)> {
+    let key = KernelKey::new(&CompiledScene::new(scene), direct_light, roulette, Sampler::Independent);
+    let text = |(stage, schedule): (Stage, Schedule)| {
+        (format!("{} ({schedule:?})", stage.name()), link(stage, &key, schedule).unwrap())
+    };
+    all_stages(&key).into_iter().map(text).collect()
+}
+
+/// A ball under the sky, of the given material.
+fn ball(material: SceneMaterial) -> Scene {
+    Scene::builder("ball")
+        .camera([0.0, 0.0, 4.0], [0.0; 3], 45.0)
+        .environment([1.0; 3])
+        .material("ball", material)
+        .sphere([0.0; 3], 1.0, "ball")
+        .build()
+        .unwrap()
+}
+
+/// Each material kind, with the prefix of its functions in the kernels.
+fn kinds() -> [(&'static str, SceneMaterial); 4] {
+    [
+        ("diffuse_", SceneMaterial::diffuse([0.5; 3])),
+        ("mirror_", SceneMaterial::mirror([0.5; 3], 0.5)),
+        ("glossy_", SceneMaterial::glossy([0.5; 3], 10.0)),
+        ("dielectric_", SceneMaterial::dielectric([1.0; 3], 1.5)),
+    ]
+}
+
+/// Names of all functions and bindings of a kernel.
+fn names(wgsl: &str) -> BTreeSet<String> {
+    let module = validate(wgsl);
+    let functions = module.functions.iter().filter_map(|(_, f)| f.name.clone());
+    let globals = module.global_variables.iter().filter_map(|(_, g)| g.name.clone());
+    functions.chain(globals).collect()
+}
+
+#[test]
+fn every_stage_links_and_validates_for_every_kind_of_scene() {
+    for name in ["cornell-box", "bansal-room-1", "furnace-open", "glass-caustic", "glossy-box"] {
+        let compiled = CompiledScene::new(&scene(name));
+        for direct_light in [false, true] {
+            for roulette in [false, true] {
+                for sampler in [Sampler::Independent, Sampler::Stratified] {
+                    let key = KernelKey::new(&compiled, direct_light, roulette, sampler);
+                    for (stage, schedule) in all_stages(&key) {
+                        validate(&link(stage, &key, schedule).unwrap());
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn every_kernel_module_of_the_folder_is_linked_into_the_program() {
+    let mut on_disk = BTreeSet::new();
+    for folder in std::fs::read_dir(root().join("kernels")).unwrap().map(|e| e.unwrap().path()) {
+        for file in std::fs::read_dir(&folder).unwrap().map(|e| e.unwrap().path()) {
+            let stem = |path: &std::path::Path| path.file_stem().unwrap().to_string_lossy().into_owned();
+            on_disk.insert(format!("{}/{}", stem(&folder), stem(&file)));
+        }
+    }
+    let embedded: BTreeSet<String> = MODULES.iter().map(|(name, _)| name.to_string()).collect();
+    assert_eq!(embedded, on_disk);
+}
+
+/// (name, [(field, offset)], size) as Rust has them.
+fn rust_layouts() -> Vec<(&'static str, Vec<(&'static str, usize)>, usize)> {
+    fn layout<T: GpuStruct>() -> (&'static str, Vec<(&'static str, usize)>, usize) {
+        (T::NAME, T::FIELDS.iter().map(|f| (f.name, f.offset)).collect(), size_of::<T>())
+    }
+    vec![
+        layout::<Uniforms>(),
+        layout::<Sphere>(),
+        layout::<Quad>(),
+        layout::<Material>(),
+        layout::<Light>(),
+        layout::<RayItem>(),
+        layout::<HitItem>(),
+        layout::<ShadowItem>(),
+        layout::<BlockSum>(),
+    ]
+}
+
+/// What of a kernel's struct differs from Rust's, if anything; None if the kernel has no such struct.
+fn layout_problem(
+    module: &naga::Module,
+    name: &str,
+    fields: &[(&str, usize)],
+    size: usize,
+) -> Option<Result<(), String>> {
+    let (members, span) = module.types.iter().find_map(|(_, ty)| match &ty.inner {
+        TypeInner::Struct { members, span } if ty.name.as_deref() == Some(name) => Some((members, *span)),
+        _ => None,
+    })?;
+    let found: Vec<(&str, usize)> =
+        members.iter().map(|m| (m.name.as_deref().unwrap_or(""), m.offset as usize)).collect();
+    if found == fields && span as usize == size {
+        return Some(Ok(()));
+    }
+    Some(Err(format!("{name}: kernel has {found:?}, {span} bytes; Rust has {fields:?}, {size} bytes")))
+}
+
+/// naga, which computes WGSL's layout rules, agrees with `offset_of!` and `size_of` for every struct in every kernel.
+#[test]
+fn structs_shared_with_the_kernels_have_equal_offsets_and_sizes() {
+    let mut seen = BTreeSet::new();
+    let mut kernels = linked(&scene("bansal-room-1"), true, true);
+    kernels.extend(linked(&scene("cornell-box"), true, true));
+    for (kernel, wgsl) in kernels {
+        let module = validate(&wgsl);
+        for (name, fields, size) in rust_layouts() {
+            if let Some(outcome) = layout_problem(&module, name, &fields, size) {
+                outcome.unwrap_or_else(|e| panic!("{kernel}: {e}"));
+                seen.insert(name);
+            }
+        }
+    }
+    assert_eq!(seen.len(), rust_layouts().len(), "no kernel was found that holds the others: {seen:?}");
+}
+
+/// Negative control: a field moved, a field widened, a field renamed are each found.
+#[test]
+fn a_struct_that_differs_is_found() {
+    let (name, fields, size) = rust_layouts().into_iter().find(|l| l.0 == "HitItem").unwrap();
+    let problem = |declaration: &str| {
+        let wgsl = format!("{declaration}\n@group(0) @binding(0) var<storage> items: array<HitItem>;");
+        layout_problem(&validate(&wgsl), name, &fields, size).unwrap()
+    };
+    assert!(problem("struct HitItem { slot: u32, shape: u32, t: f32 }").is_ok());
+    assert!(problem("struct HitItem { shape: u32, slot: u32, t: f32 }").is_err());
+    assert!(problem("struct HitItem { slot: u32, shape: u32, t: vec2<f32> }").is_err());
+    assert!(problem("struct HitItem { slot: u32, shape: u32, distance: f32 }").is_err());
+}
+
+/// Values of all literal constants of a kernel, as f64 (exact for u32 and f32).
+fn constants(wgsl: &str) -> BTreeMap<String, f64> {
+    let module = validate(wgsl);
+    let literal = |init: naga::Handle<naga::Expression>| match module.global_expressions[init] {
+        naga::Expression::Literal(naga::Literal::U32(v)) => Some(f64::from(v)),
+        naga::Expression::Literal(naga::Literal::F32(v)) => Some(f64::from(v)),
+        _ => None,
+    };
+    module.constants.iter().filter_map(|(_, c)| Some((c.name.clone()?, literal(c.init)?))).collect()
+}
+
+#[test]
+fn constants_shared_with_the_kernels_are_equal() {
+    let expected: BTreeMap<&str, f64> = [
+        ("GRID_WIDTH", f64::from(GRID_WIDTH)),
+        ("WORKGROUP", f64::from(WORKGROUP)),
+        ("KIND_DIFFUSE", f64::from(compiled::KIND_DIFFUSE)),
+        ("KIND_MIRROR", f64::from(compiled::KIND_MIRROR)),
+        ("KIND_GLOSSY", f64::from(compiled::KIND_GLOSSY)),
+        ("KIND_DIELECTRIC", f64::from(compiled::KIND_DIELECTRIC)),
+        ("NONE", f64::from(compiled::NONE)),
+        ("ROULETTE_FROM_BOUNCE", f64::from(ROULETTE_FROM_BOUNCE)),
+        ("RELATIVE_OFFSET", f64::from(RELATIVE_OFFSET)),
+        ("T_MISS", f64::from(T_MISS)),
+        ("DIMENSION_CAMERA", f64::from(DIMENSION_CAMERA)),
+    ]
+    .into();
+    let mut seen = BTreeSet::new();
+    for (kernel, wgsl) in linked(&scene("bansal-room-1"), true, true) {
+        for (name, value) in constants(&wgsl) {
+            if let Some(rust) = expected.get(name.as_str()) {
+                assert_eq!(value, *rust, "{name} in {kernel}");
+                seen.insert(name);
+            }
+        }
+    }
+    let missing: Vec<_> = expected.keys().filter(|name| !seen.contains(**name)).collect();
+    assert!(missing.is_empty(), "no kernel has {missing:?}");
+}
+
+/// One event's numbers are never another's: the dimensions of 64 levels are all different.
+#[test]
+fn dimensions_of_all_events_of_a_path_are_different() {
+    let events = (0..64).flat_map(|bounce| [dimension_bsdf(bounce), dimension_light(bounce)]);
+    let dimensions: BTreeSet<u32> = events.chain([DIMENSION_CAMERA]).collect();
+    assert_eq!(dimensions.len(), 2 * 64 + 1);
+}
+
+#[test]
+fn a_scene_links_the_functions_of_its_own_materials_only() {
+    for (own, material) in kinds() {
+        for (kernel, wgsl) in linked(&ball(material), true, true) {
+            let functions = names(&wgsl);
+            for (other, _) in kinds().iter().filter(|(other, _)| *other != own) {
+                let foreign: Vec<_> = functions.iter().filter(|f| f.starts_with(other)).collect();
+                assert!(foreign.is_empty(), "{kernel} of a scene with {own}* only has {foreign:?}");
+            }
+        }
+    }
+    // Negative control: a scene with all four has all four.
+    let all: BTreeSet<String> =
+        linked(&scene("bansal-room-1"), true, true).iter().flat_map(|(_, wgsl)| names(wgsl)).collect();
+    for (prefix, _) in kinds() {
+        assert!(all.iter().any(|f| f.starts_with(prefix)), "no {prefix}* where there should be");
+    }
+}
+
+#[test]
+fn a_diffuse_scene_links_one_queue_and_no_glass() {
+    let texts = linked(&scene("cornell-box"), true, true);
+    let queues = |wgsl: &str| constants(wgsl).get("HIT_QUEUES").copied();
+    assert!(texts.iter().any(|(_, wgsl)| queues(wgsl) == Some(1.0)));
+    for (kernel, wgsl) in &texts {
+        assert!(queues(wgsl).is_none_or(|count| count == 1.0), "{kernel}");
+        let names = names(wgsl);
+        for name in ["fresnel", "sample_phong", "pdf_phong", "environment", "intersect_sphere", "spheres"] {
+            assert!(!names.contains(name), "{kernel} holds {name}");
+        }
+    }
+}
+
+#[test]
+fn without_direct_light_nothing_of_it_is_linked() {
+    let off = linked(&scene("cornell-box"), false, true);
+    for (kernel, wgsl) in &off {
+        let names = names(wgsl);
+        for name in ["lights", "shadows", "occluded", "sample_light", "direct_light", "mis_weight", "choose_light"] {
+            assert!(!names.contains(name), "{kernel} has {name} with direct light off");
+        }
+        assert!(!kernel.starts_with("shadow"));
+    }
+    // Negative control: with it on, they are there.
+    let on: BTreeSet<String> =
+        linked(&scene("cornell-box"), true, true).iter().flat_map(|(_, wgsl)| names(wgsl)).collect();
+    assert!(["lights", "shadows", "occluded", "sample_light"].iter().all(|name| on.contains(*name)));
+}
+
+#[test]
+fn without_roulette_nothing_of_it_is_linked() {
+    let has = |roulette| {
+        linked(&scene("cornell-box"), true, roulette)
+            .iter()
+            .any(|(_, wgsl)| names(wgsl).contains("roulette_survival"))
+    };
+    assert!(has(true) && !has(false));
+}
+
+/// What browsers grant: 10 storage buffers a stage, 256 invocations a workgroup, 16 KiB of workgroup memory.
+#[test]
+fn every_stage_of_every_scene_stays_within_what_browsers_grant() {
+    for name in scene_names() {
+        for (kernel, wgsl) in linked(&scene(&name), true, true) {
+            let module = validate(&wgsl);
+            let storage = |space| matches!(space, naga::AddressSpace::Storage { .. });
+            let buffers = module.global_variables.iter().filter(|(_, g)| storage(g.space)).count();
+            assert!(buffers <= 10, "{name}: {kernel} binds {buffers} storage buffers");
+            assert_eq!(module.entry_points.len(), 1, "{name}: {kernel}");
+            let invocations: u32 = module.entry_points[0].workgroup_size.iter().product();
+            assert!(invocations <= 256, "{name}: {kernel} has {invocations} invocations");
+            let shared: u32 = module
+                .global_variables
+                .iter()
+                .filter(|(_, g)| g.space == naga::AddressSpace::WorkGroup)
+                .map(|(_, g)| module.types[g.ty].inner.size(module.to_ctx()))
+                .sum();
+            assert!(shared <= 16 << 10, "{name}: {kernel} shares {shared} bytes");
+        }
+    }
+}
+
+/// The key alone decides: scenes of one key share every kernel, so compiled ones may be kept by it.
+#[test]
+fn equal_keys_link_equal_kernels() {
+    let (a, b) = (scene("furnace-closed-50"), scene("furnace-closed-99"));
+    assert_eq!(linked(&a, true, true), linked(&b, true, true));
+    assert_ne!(linked(&a, true, true), linked(&a, true, false));
+}
+
+/// The sources with one text replaced by another, which must occur.
+fn sabotaged(from: &str, to: &str) -> Vec<(&'static str, String)> {
+    assert!(MODULES.iter().any(|(_, text)| text.contains(from)), "no kernel holds {from}");
+    MODULES.iter().map(|&(name, text)| (name, text.replace(from, to))).collect()
+}
+
+/// Negative control of the linker: what it must refuse, it refuses.
+#[test]
+fn a_misspelt_flag_or_name_does_not_link() {
+    let key = KernelKey::new(&CompiledScene::new(&scene("cornell-box")), true, true, Sampler::Independent);
+    let links = |from: &str, to: &str| {
+        let modules = sabotaged(from, to);
+        let modules: Vec<(&str, &str)> = modules.iter().map(|(name, text)| (*name, text.as_str())).collect();
+        let linked = qtracer::gpu::link::link_modules(&modules, Stage::Megakernel, &key, Schedule::Fused);
+        linked.map_err(|e| e.to_string()).and_then(|wgsl| {
+            naga::front::wgsl::parse_str(&wgsl).map(|_| ()).map_err(|e| e.emit_to_string(&wgsl))
+        })
+    };
+    links("@if(roulette)", "@if(roulette)").unwrap();
+    let error = links("@if(roulette)", "@if(roulete)").unwrap_err();
+    assert!(error.contains("roulete"), "the error does not name the flag: {error}");
+    assert!(links("import package::bsdf::interface::", "import package::bsdf::interfaces::").is_err());
+    assert!(links("mis_weight(ray.pdf", "mis_wait(ray.pdf").is_err());
+}
+
+/// Buffers of a small wavefront render, by name.
+fn buffers(scene: &Scene, schedule: Schedule, direct_light: bool) -> (BTreeMap<String, u64>, u64) {
+    let options =
+        qtracer::RenderOptions { direct_light: Some(direct_light), pool: Some(512), ..small(32, 32, 1) };
+    let stats = render(scene, Engine::Wavefront(schedule), &options, 1).stats;
+    (stats.buffers, 512)
+}
+
+#[test]
+fn buffers_exist_for_what_the_scene_needs_and_nothing_else() {
+    let (have, capacity) = buffers(&scene("cornell-box"), Schedule::Compacted, true);
+    assert_eq!(have["hits"], 12 * capacity, "one material: one hit queue");
+    assert_eq!(have["rays_a"], 48 * capacity);
+    assert_eq!(have["rays_b"], 48 * capacity);
+    assert_eq!(have["shadows"], 48 * capacity);
+    assert_eq!(have["radiance"], 12 * 32 * 32);
+    assert!(!have.contains_key("spheres"), "spheres in a scene of quads: {have:?}");
+
+    // All four materials, no environment, spheres only.
+    let (have, _) = buffers(&scene("bansal-room-1"), Schedule::Streamed, true);
+    assert_eq!(have["hits"], 4 * 12 * capacity);
+    assert!(!have.contains_key("quads"), "quads in a scene of spheres: {have:?}");
+
+    // One material and an environment, no lights.
+    let (have, _) = buffers(&scene("furnace-open"), Schedule::Compacted, true);
+    assert_eq!(have["hits"], 2 * 12 * capacity);
+    assert!(!have.contains_key("shadows") && !have.contains_key("lights"), "{have:?}");
+
+    let (have, _) = buffers(&scene("cornell-box"), Schedule::Compacted, false);
+    assert!(!have.contains_key("shadows") && !have.contains_key("lights"), "direct light is off: {have:?}");
+
+    // The fused schedule shades where it intersects.
+    let (have, _) = buffers(&scene("cornell-box"), Schedule::Fused, true);
+    assert!(!have.contains_key("hits") && !have.contains_key("shadows"), "{have:?}");
+}

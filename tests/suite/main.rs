@@ -1,0 +1,16 @@
+//! The laws that qtracer keeps, one module per floor or claim. One binary, so that it links once.
+//!
+//! Seeds are fixed: a test that passes keeps passing until the code changes. Where a test is statistical it says its
+//! error rate α, the chance that a right program would have failed it at a seed drawn at random. Every comparator has a
+//! negative control, which must fail.
+//!
+//! Tests of the GPU fail, and do not skip, where there is no adapter: `tests/run` installs a software one.
+
+mod engines;
+mod floors;
+mod furnace;
+mod kernels;
+mod queues;
+mod references;
+mod samplers;
+mod support;

@@ -1,0 +1,109 @@
+//! What the tests share: scenes, renders, the adapter under test.
+
+use qtracer::film::Film;
+use qtracer::gpu::device::Gpu;
+use qtracer::gpu::stage::Schedule;
+use qtracer::{EngineChoice, Image, RenderOptions, RenderStats, Renderer, Sampler, Scene};
+use std::path::PathBuf;
+
+/// Every way of rendering: the same transport, so the same image.
+pub const ENGINES: [Engine; 5] = [
+    Engine::Cpu,
+    Engine::Megakernel,
+    Engine::Wavefront(Schedule::Compacted),
+    Engine::Wavefront(Schedule::Streamed),
+    Engine::Wavefront(Schedule::Fused),
+];
+pub const GPU_ENGINES: [Engine; 4] = [ENGINES[1], ENGINES[2], ENGINES[3], ENGINES[4]];
+pub const SCHEDULES: [Schedule; 3] = [Schedule::Compacted, Schedule::Streamed, Schedule::Fused];
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Engine {
+    Cpu,
+    Megakernel,
+    Wavefront(Schedule),
+}
+
+impl Engine {
+    /// `options` on this engine, and on the adapter under test.
+    pub fn with(self, options: &RenderOptions) -> RenderOptions {
+        let (engine, schedule) = match self {
+            Engine::Cpu => (EngineChoice::Cpu, None),
+            Engine::Megakernel => (EngineChoice::Megakernel, None),
+            Engine::Wavefront(schedule) => (EngineChoice::Wavefront, Some(schedule)),
+        };
+        RenderOptions { engine, schedule, adapter: adapter(), ..options.clone() }
+    }
+}
+
+/// Part of the name of the adapter to test, from `QTRACER_TEST_ADAPTER`; the best one if that is not set.
+fn adapter() -> Option<String> {
+    std::env::var("QTRACER_TEST_ADAPTER").ok()
+}
+
+/// The adapter under test.
+pub fn open_gpu() -> Gpu {
+    Gpu::open(adapter().as_deref()).unwrap_or_else(|e| panic!("{e}\nGPU tests need an adapter: run tests/run"))
+}
+
+/// Where the repository lies.
+pub fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+pub fn scene(name: &str) -> Scene {
+    Scene::load(root().join(format!("scenes/{name}.toml"))).unwrap_or_else(|e| panic!("{e}"))
+}
+
+/// Names of all scenes, sorted.
+pub fn scene_names() -> Vec<String> {
+    let mut names: Vec<String> = std::fs::read_dir(root().join("scenes"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.extension().is_some_and(|e| e == "toml"))
+        .map(|path| path.file_stem().unwrap().to_string_lossy().into_owned())
+        .collect();
+    names.sort();
+    assert!(names.len() >= 15, "scenes are missing: {names:?}");
+    names
+}
+
+/// Options of a small render. Samples are independent, so that standard errors are what they say.
+pub fn small(width: u32, height: u32, seed: u32) -> RenderOptions {
+    RenderOptions { size: Some((width, height)), seed, sampler: Sampler::Independent, ..Default::default() }
+}
+
+/// A finished render.
+pub struct Render {
+    pub film: Film,
+    pub image: Image,
+    pub stats: RenderStats,
+}
+
+/// Renders `spp` samples per pixel, in steps as the engine likes them.
+pub fn render(scene: &Scene, engine: Engine, options: &RenderOptions, spp: u32) -> Render {
+    render_in_steps(scene, engine, options, spp, u32::MAX)
+}
+
+/// Renders `spp` samples per pixel in steps of at most `step`.
+pub fn render_in_steps(scene: &Scene, engine: Engine, options: &RenderOptions, spp: u32, step: u32) -> Render {
+    let mut renderer = Renderer::new(scene, engine.with(options))
+        .unwrap_or_else(|e| panic!("{engine:?} on {}: {e}\nGPU tests need an adapter: run tests/run", scene.name));
+    while renderer.samples() < spp {
+        let wanted = (spp - renderer.samples()).min(step);
+        renderer.step(wanted).unwrap_or_else(|e| panic!("{engine:?} on {}: {e}", scene.name));
+    }
+    Render { film: renderer.film().clone(), image: renderer.image(), stats: renderer.stats() }
+}
+
+/// The image with every colour times `factor`, its errors unchanged: what a negative control compares.
+pub fn brightened(image: &Image, factor: f32) -> Image {
+    Image { rgb: image.rgb.iter().map(|rgb| rgb.map(|v| v * factor)).collect(), ..image.clone() }
+}
+
+/// How many sums of the two films differ in any bit.
+pub fn differing_pixels(a: &Film, b: &Film) -> usize {
+    assert_eq!(a.pixels().len(), b.pixels().len());
+    let same = |(a, b): &(&_, &_)| bytemuck::bytes_of(*a) == bytemuck::bytes_of::<qtracer::film::PixelSum>(*b);
+    a.pixels().iter().zip(b.pixels()).filter(|pair| !same(pair)).count()
+}
