@@ -25,18 +25,20 @@ pub struct KernelKey {
     pub quad_lights: bool,
     pub roulette: bool,
     pub stratified: bool,
-    /// Lengths of the scene's arrays (spheres, quads, materials, lights) if they fit into uniform buffers.
+    /// Lengths of the scene's arrays (spheres, quads, materials, lights) if the scene is small enough for uniform buffers.
     pub small_scene: Option<[u32; 4]>,
 }
 
-/// Bytes of a uniform buffer that every adapter binds.
-const UNIFORM_BYTES: usize = 1 << 16;
+/// Bytes of shapes up to which uniform buffers are faster: on an H100, 0.4 and 1.5 KiB gained 13 % and 25 % (seed1,
+/// cornell; megakernel), 6 KiB lost 45 % (door), since every ray reads all of them through a cache of about 2 KiB.
+const SMALL_SHAPES: usize = 1 << 11;
+/// Bytes of the other arrays, which are read at hits only.
+const SMALL_ARRAY: usize = 1 << 14;
 
 fn small_scene(scene: &CompiledScene) -> Option<[u32; 4]> {
-    let fits = size_of_val(&scene.spheres[..]) <= UNIFORM_BYTES
-        && size_of_val(&scene.quads[..]) <= UNIFORM_BYTES
-        && size_of_val(&scene.materials[..]) <= UNIFORM_BYTES
-        && size_of_val(&scene.lights[..]) <= UNIFORM_BYTES;
+    let fits = size_of_val(&scene.spheres[..]) + size_of_val(&scene.quads[..]) <= SMALL_SHAPES
+        && size_of_val(&scene.materials[..]) <= SMALL_ARRAY
+        && size_of_val(&scene.lights[..]) <= SMALL_ARRAY;
     let length = |n: usize| n.max(1) as u32;
     fits.then(|| {
         [scene.spheres.len(), scene.quads.len(), scene.materials.len(), scene.lights.len()].map(length)
