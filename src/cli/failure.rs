@@ -46,6 +46,10 @@ impl Failure {
         }
     }
 
+    pub fn into_messages(self) -> Vec<String> {
+        self.messages
+    }
+
     /// Prints the messages and gives the exit code.
     pub fn report(&self) -> ExitCode {
         for message in &self.messages {

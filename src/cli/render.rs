@@ -7,7 +7,7 @@ use super::progress::Progress;
 use super::render_args::{Job, RenderArgs};
 use super::signals;
 use super::stats::{self, Report};
-use super::stop::{State, Stop};
+use super::stop::{Goal, State};
 use qtracer::film::{WriteOptions, write_image};
 use qtracer::{CancelToken, EngineKind, Image, RenderError, Renderer};
 use std::path::PathBuf;
@@ -25,16 +25,16 @@ pub fn run(args: RenderArgs) -> Result<(), Failure> {
         pool.build_global()
             .map_err(|e| Failure::failed(format!("--threads {threads}: {e}")))?;
     }
+    let slot = signals::watch();
     let start = Instant::now();
     let mut renderer =
         Renderer::new(&job.scene, job.options.clone()).map_err(|e| Failure::of_start(&e))?;
+    let cancel = slot.get_or_init(|| renderer.cancel_token()).clone();
     let preparation = start.elapsed();
     renderer.notices().iter().for_each(|text| note(&job, text));
     warn_of_idle_options(&job, renderer.engine());
-    let cancel = renderer.cancel_token();
-    signals::cancel_on_interrupt(cancel.clone());
     let (end, elapsed) = trace(&mut renderer, &job, &cancel);
-    conclude(&job, &renderer, end, preparation, elapsed)
+    Ending::new(&job, &renderer, end, preparation, elapsed).conclude()
 }
 
 fn note(job: &Job, text: impl std::fmt::Display) {
@@ -46,14 +46,11 @@ fn note(job: &Job, text: impl std::fmt::Display) {
 /// Options that only some engines have.
 fn warn_of_idle_options(job: &Job, engine: EngineKind) {
     let options = &job.options;
-    let wavefront = engine == EngineKind::Wavefront;
+    let (cpu, wavefront) = (engine == EngineKind::Cpu, engine == EngineKind::Wavefront);
     let idle = [
         ("--schedule", options.schedule.is_some() && !wavefront),
         ("--pool", options.pool.is_some() && !wavefront),
-        (
-            "--adapter",
-            options.adapter.is_some() && engine == EngineKind::Cpu,
-        ),
+        ("--adapter", options.adapter.is_some() && cpu),
     ];
     for (option, _) in idle.iter().filter(|(_, idle)| *idle) {
         console::warning(format!("{option} has no effect on the {engine} engine"));
@@ -69,11 +66,10 @@ enum End {
 
 /// Renders until the goal is reached, someone interrupts or something breaks; tells how long it took.
 fn trace(renderer: &mut Renderer, job: &Job, cancel: &CancelToken) -> (End, Duration) {
-    let film = renderer.film();
-    let progress = Progress::new(film.pixels().len() as u64, job.quiet);
+    let progress = Progress::new(renderer.film().pixels().len() as u64, job.quiet);
     let start = Instant::now();
     let end = loop {
-        let state = state(renderer, &job.stop, start.elapsed());
+        let state = state(renderer, job, start.elapsed());
         progress.show(&job.stop, &state);
         match job.stop.next(&state) {
             0 => break End::Done,
@@ -88,118 +84,212 @@ fn trace(renderer: &mut Renderer, job: &Job, cancel: &CancelToken) -> (End, Dura
     (end, start.elapsed())
 }
 
-fn state(renderer: &Renderer, stop: &Stop, elapsed: Duration) -> State {
+fn state(renderer: &Renderer, job: &Job, elapsed: Duration) -> State {
     State {
         samples: renderer.samples(),
         elapsed,
-        relative_error: match stop.needs_error() {
+        relative_error: match job.stop.needs_error() {
             true => renderer.film().relative_error(),
             false => f64::INFINITY,
         },
     }
 }
 
-/// Writes what there is and says what it is.
-fn conclude(
-    job: &Job,
-    renderer: &Renderer,
-    end: End,
+/// What there is when tracing has ended.
+struct Ending<'a> {
+    job: &'a Job,
+    renderer: &'a Renderer,
     preparation: Duration,
     elapsed: Duration,
-) -> Result<(), Failure> {
-    let (fewest, most) = renderer.film().samples();
-    // An interrupt during the last step may come too late to matter.
-    let complete = match end {
-        End::Interrupted => fewest >= u64::from(job.stop.max_samples),
-        End::Done => true,
-        End::Broken(_) => false,
-    };
-    let mut problems = match end {
-        _ if complete => Vec::new(),
-        End::Broken(error) => vec![error.to_string()],
-        _ => vec!["interrupted".to_string()],
-    };
-    if fewest == 0 {
-        problems.push("no sample of every pixel was finished, so nothing was written".to_string());
-        return Err(Failure::failed_all(problems));
-    }
-    let written = write_outputs(job, renderer, &mut problems);
-    if !complete && !written.is_empty() {
-        problems.push(format!(
-            "the image written has {} samples per pixel{}",
-            range(fewest, most),
-            wanted(&job.stop)
-        ));
-    }
-    let report = Report::new(job, renderer, complete, preparation, elapsed);
-    warn_of_noise(job, renderer, complete, elapsed);
-    if !job.quiet {
-        console::line(report.summary(&written));
-    }
-    if let Some(format) = job.stats {
-        stats::print(&report, format)?;
-    }
-    match problems.is_empty() {
-        true => Ok(()),
-        false => Err(Failure::failed_all(problems)),
-    }
+    /// Whether all that was asked for is there.
+    complete: bool,
+    /// What went wrong: reasons for exit code 1.
+    problems: Vec<String>,
 }
 
-/// `12`, or `12 to 13` where an interrupt left some pixels ahead of others.
-fn range(fewest: u64, most: u64) -> String {
-    match fewest == most {
-        true => fewest.to_string(),
-        false => format!("{fewest} to {most}"),
-    }
-}
-
-fn wanted(stop: &Stop) -> String {
-    match stop.goal {
-        super::stop::Goal::Samples => format!(" of {}", stop.max_samples),
-        _ => String::new(),
-    }
-}
-
-/// Writes every output; one that can't be written does not keep the others from being so.
-fn write_outputs<'a>(
-    job: &'a Job,
-    renderer: &Renderer,
-    problems: &mut Vec<String>,
-) -> Vec<&'a PathBuf> {
-    let options = WriteOptions {
-        exposure: job.exposure,
-    };
-    let image = finished_image(job, renderer);
-    let mut written = Vec::new();
-    for path in &job.outputs {
-        match write_image(path, &image, &options) {
-            Ok(()) => written.push(path),
-            Err(error) => problems.push(error.to_string()),
+impl<'a> Ending<'a> {
+    fn new(
+        job: &'a Job,
+        renderer: &'a Renderer,
+        end: End,
+        preparation: Duration,
+        elapsed: Duration,
+    ) -> Self {
+        // An interrupt during the last step may come too late to matter.
+        let all = renderer.film().samples().0 >= u64::from(job.stop.max_samples);
+        let problem = match end {
+            End::Broken(error) => Some(error.to_string()),
+            End::Interrupted if !all => Some("interrupted".to_string()),
+            _ => None,
+        };
+        Ending {
+            job,
+            renderer,
+            preparation,
+            elapsed,
+            complete: problem.is_none(),
+            problems: problem.into_iter().collect(),
         }
     }
-    written
+
+    /// Writes what there is and says what it is.
+    fn conclude(mut self) -> Result<(), Failure> {
+        if self.renderer.film().samples().0 == 0 {
+            let problem = "no sample of every pixel was finished, so nothing was written";
+            self.problems.push(problem.to_string());
+            return Err(Failure::failed_all(self.problems));
+        }
+        let written = self.write_outputs();
+        if !self.complete && !written.is_empty() {
+            let problem = format!("the image written has {}", self.samples_so_far());
+            self.problems.push(problem);
+        }
+        self.report(&written);
+        match self.problems.is_empty() {
+            true => Ok(()),
+            false => Err(Failure::failed_all(self.problems)),
+        }
+    }
+
+    /// Writes every output; one that can't be written does not keep the others from being so.
+    fn write_outputs(&mut self) -> Vec<&'a PathBuf> {
+        let options = WriteOptions {
+            exposure: self.job.exposure,
+        };
+        let image = self.image();
+        let mut written = Vec::new();
+        for path in &self.job.outputs {
+            match write_image(path, &image, &options) {
+                Ok(()) => written.push(path),
+                Err(error) => self.problems.push(error.to_string()),
+            }
+        }
+        written
+    }
+
+    /// Whoever interrupts wants no further rays: features are for complete renders.
+    fn image(&self) -> Image {
+        let mut image = match self.job.features && self.complete {
+            true => self.renderer.image_with_features(),
+            false => self.renderer.image(),
+        };
+        let (options, defaults) = (&self.job.options, &self.job.scene.defaults);
+        let levels = options.max_bounces.unwrap_or(defaults.max_bounces);
+        // The only option that changes what a render converges to, so merging asks for it.
+        image.metadata.set("max_bounces", levels);
+        image
+    }
+
+    /// `12 samples per pixel of 64`; `12 to 13` where an interrupt left some pixels ahead of others.
+    fn samples_so_far(&self) -> String {
+        let (fewest, most) = self.renderer.film().samples();
+        let range = match fewest == most {
+            true => fewest.to_string(),
+            false => format!("{fewest} to {most}"),
+        };
+        match self.job.stop.goal {
+            Goal::Samples => {
+                let wanted = self.job.stop.max_samples;
+                format!("{range} samples per pixel of {wanted}")
+            }
+            _ => format!("{range} samples per pixel"),
+        }
+    }
+
+    /// Figures, to stderr for people and to stdout for programs.
+    fn report(&mut self, written: &[&PathBuf]) {
+        let state = state(self.renderer, self.job, self.elapsed);
+        if self.complete && self.job.stop.fell_short(&state) {
+            console::warning(format!(
+                "stopped at {} samples per pixel before --error was reached; raise --max-spp",
+                state.samples
+            ));
+        }
+        let report = Report::new(
+            self.job,
+            self.renderer,
+            self.complete,
+            self.preparation,
+            self.elapsed,
+        );
+        if !self.job.quiet {
+            console::line(report.summary(written));
+        }
+        if let Some(Err(failure)) = self.job.stats.map(|format| stats::print(&report, format)) {
+            self.problems.extend(failure.into_messages());
+        }
+    }
 }
 
-fn finished_image(job: &Job, renderer: &Renderer) -> Image {
-    let mut image = match job.features {
-        true => renderer.image_with_features(),
-        false => renderer.image(),
-    };
-    let levels = job
-        .options
-        .max_bounces
-        .unwrap_or(job.scene.defaults.max_bounces);
-    // The only option that changes what a render converges to, so merging asks for it.
-    image.metadata.set("max_bounces", levels);
-    image
-}
+#[cfg(test)]
+mod tests {
+    use super::super::stop::Stop;
+    use super::*;
+    use qtracer::film::read_image;
+    use qtracer::gpu::error::GpuError;
+    use qtracer::scene::Material;
+    use qtracer::{RenderOptions, Scene};
 
-fn warn_of_noise(job: &Job, renderer: &Renderer, complete: bool, elapsed: Duration) {
-    let state = state(renderer, &job.stop, elapsed);
-    if complete && job.stop.fell_short(&state) {
-        console::warning(format!(
-            "stopped at {} samples per pixel before --error was reached; raise --max-spp",
-            state.samples
-        ));
+    fn job(output: PathBuf) -> Job {
+        let scene = Scene::builder("ball")
+            .camera([0.0, 0.0, 4.0], [0.0; 3], 45.0)
+            .size(4, 3)
+            .environment([1.0; 3])
+            .material("grey", Material::diffuse([0.5; 3]))
+            .sphere([0.0; 3], 1.0, "grey")
+            .build()
+            .unwrap();
+        Job {
+            scene,
+            options: RenderOptions::cpu(),
+            stop: Stop {
+                goal: Goal::Samples,
+                max_samples: 8,
+            },
+            outputs: vec![output],
+            exposure: 0.0,
+            features: true,
+            stats: None,
+            dump_kernels: None,
+            threads: None,
+            quiet: true,
+        }
+    }
+
+    /// Ends a render with a lost device after `samples` samples; gives the messages.
+    fn lose_the_device_after(samples: u32, job: &Job) -> Vec<String> {
+        let mut renderer = Renderer::new(&job.scene, job.options.clone()).unwrap();
+        while renderer.samples() < samples {
+            renderer.step(samples - renderer.samples()).unwrap();
+        }
+        let lost = End::Broken(RenderError::Gpu(GpuError::DeviceLost {
+            adapter: "GPU".into(),
+            reason: "reset".into(),
+        }));
+        let ending = Ending::new(job, &renderer, lost, Duration::ZERO, Duration::ZERO);
+        ending.conclude().unwrap_err().into_messages()
+    }
+
+    #[test]
+    fn a_lost_device_ends_with_the_image_so_far_and_says_so() {
+        let folder = tempfile::tempdir().unwrap();
+        let job = job(folder.path().join("out.exr"));
+        let messages = lose_the_device_after(3, &job);
+        assert!(messages[0].contains("was lost"), "{messages:?}");
+        assert_eq!(
+            messages[1],
+            "the image written has 3 samples per pixel of 8"
+        );
+        let image = read_image(&job.outputs[0]).unwrap();
+        assert!(image.samples.unwrap().iter().all(|&count| count == 3.0));
+    }
+
+    #[test]
+    fn a_device_lost_at_once_writes_nothing_and_says_so() {
+        let folder = tempfile::tempdir().unwrap();
+        let job = job(folder.path().join("out.exr"));
+        let messages = lose_the_device_after(0, &job);
+        assert!(messages[1].contains("nothing was written"), "{messages:?}");
+        assert!(!job.outputs[0].exists());
     }
 }

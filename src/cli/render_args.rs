@@ -157,7 +157,7 @@ Examples:
   qtracer merge a.exr b.exr -o room.exr
       1024 samples in two parts, maybe on two machines.
 
-Ctrl-C writes the image so far and exits 1; a second one exits at once.";
+Ctrl-C writes the image so far (without features) and exits 1; a second one exits at once.";
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum StatsFormat {

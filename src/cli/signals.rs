@@ -3,17 +3,28 @@
 use super::console;
 use qtracer::CancelToken;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
 
-pub fn cancel_on_interrupt(cancel: CancelToken) {
-    let interrupted = AtomicBool::new(false);
-    let handler = move || {
-        if interrupted.swap(true, Ordering::SeqCst) {
+/// Where to put the renderer's token as soon as there is one.
+pub type CancelSlot = Arc<OnceLock<CancelToken>>;
+
+/// From here on an interrupt goes to the renderer. While there is none, nothing can be lost: it ends the program.
+pub fn watch() -> CancelSlot {
+    let slot = CancelSlot::default();
+    let (cancel, interrupted) = (slot.clone(), AtomicBool::new(false));
+    let handler = move || match cancel.get() {
+        Some(cancel) if !interrupted.swap(true, Ordering::SeqCst) => {
+            console::note("interrupted: writing what there is; interrupt again to stop at once");
+            cancel.cancel();
+        }
+        Some(_) => std::process::exit(1),
+        None => {
+            console::error("interrupted before rendering began: nothing was written");
             std::process::exit(1);
         }
-        console::note("interrupted: writing what there is; interrupt again to stop at once");
-        cancel.cancel();
     };
     if let Err(error) = ctrlc::set_handler(handler) {
         console::warning(format!("an interrupt will lose the image: {error}"));
     }
+    slot
 }
