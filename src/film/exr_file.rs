@@ -1,6 +1,6 @@
 //! OpenEXR: linear f32, lossless (ZIP, 16 rows a block), one part.
-//! Channels: R G B; stderr.R/G/B; samples; albedo.R/G/B; normal.X/Y/Z; depth.Z. Metadata: text attributes
-//! `qtracer.KEY`, and `qtracer` with the keys in order.
+//! Channels: R G B; stderr.R/G/B; samples; albedo.R/G/B; normal.X/Y/Z; depth.Z. Metadata: the text attribute `qtracer`,
+//! JSON `[["scene","cornell-box"],["seed","0"],…]`.
 
 use std::collections::HashMap;
 use std::io::{Cursor, Seek, Write};
@@ -13,8 +13,8 @@ use exr::prelude::{
 use super::write::EncodeError;
 use super::{Features, Image, Metadata};
 
-const PREFIX: &str = "qtracer.";
-const ORDER: &str = "qtracer";
+/// Holds our metadata.
+const ATTRIBUTE: &str = "qtracer";
 
 type Channels = AnyChannels<FlatSamples>;
 
@@ -71,22 +71,18 @@ fn text(value: &str) -> Text {
     Text::from_slice_unchecked(value.as_bytes())
 }
 
+/// One attribute for all: the crate writes several in random order, and equal images should be equal bytes.
 fn to_attributes(metadata: &Metadata) -> HashMap<Text, AttributeValue> {
-    let entry = |(key, value): (&str, &str)| {
-        (
-            text(&format!("{PREFIX}{key}")),
-            AttributeValue::Text(text(value)),
-        )
-    };
-    let mut attributes: HashMap<_, _> = metadata.iter().map(entry).collect();
-    if !metadata.is_empty() {
-        let keys: Vec<&str> = metadata.iter().map(|(key, _)| key).collect();
-        attributes.insert(text(ORDER), AttributeValue::Text(text(&keys.join("\n"))));
+    let pairs: Vec<(&str, &str)> = metadata.iter().collect();
+    match serde_json::to_string(&pairs) {
+        Ok(json) if !pairs.is_empty() => {
+            HashMap::from([(text(ATTRIBUTE), AttributeValue::Text(text(&json)))])
+        }
+        _ => HashMap::new(),
     }
-    attributes
 }
 
-/// Ours in their order, without the prefix; then those of other programs by name.
+/// Ours in their order, then those of other programs by name.
 fn to_metadata<'a>(attributes: impl Iterator<Item = (&'a Text, &'a AttributeValue)>) -> Metadata {
     let string = |text: &Text| String::from_utf8_lossy(text.as_slice()).into_owned();
     let mut texts: Vec<(String, String)> = attributes
@@ -96,22 +92,16 @@ fn to_metadata<'a>(attributes: impl Iterator<Item = (&'a Text, &'a AttributeValu
         })
         .collect();
     texts.sort();
-    let order = texts
-        .iter()
-        .position(|(key, _)| key == ORDER)
-        .map(|at| texts.remove(at).1)
-        .unwrap_or_default();
-    let rank = |key: &str| {
-        order
-            .lines()
-            .position(|k| key.strip_prefix(PREFIX) == Some(k))
-            .unwrap_or(usize::MAX)
+    let ours = |(key, value): &(String, String)| match key == ATTRIBUTE {
+        true => serde_json::from_str::<Vec<(String, String)>>(value).ok(),
+        false => None,
     };
-    texts.sort_by_key(|(key, _)| rank(key));
+    let pairs = texts.iter().filter_map(ours).flatten();
+    let others = texts.iter().filter(|text| ours(text).is_none()).cloned();
     let mut metadata = Metadata::new();
-    texts
-        .iter()
-        .for_each(|(key, value)| metadata.set(key.strip_prefix(PREFIX).unwrap_or(key), value));
+    pairs
+        .chain(others)
+        .for_each(|(key, value)| metadata.set(&key, value));
     metadata
 }
 

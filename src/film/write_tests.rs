@@ -41,6 +41,20 @@ fn exr_round_trip_keeps_every_layer_bit_for_bit() {
 }
 
 #[test]
+fn equal_images_are_equal_bytes() {
+    let dir = folder();
+    let image = full_image(37, 100);
+    for extension in ["exr", "png"] {
+        let [a, b] = ["a", "b"].map(|name| {
+            let path = dir.path().join(name).with_extension(extension);
+            write(&path, &image).unwrap();
+            fs::read(path).unwrap()
+        });
+        assert!(a == b, "{extension}");
+    }
+}
+
+#[test]
 fn exr_without_layers_reads_back_without_layers() {
     let dir = folder();
     let path = dir.path().join("plain.EXR");

@@ -59,16 +59,16 @@ pub fn check_image_size(width: u64, height: u64) -> Result<(u32, u32), SceneErro
             problem,
         })
     };
-    if let Err(problem) = side_lengths(width, height) {
-        return refuse(problem);
-    }
     let pixels = u128::from(width) * u128::from(height);
-    if pixels > MOST_PIXELS {
+    if pixels > MOST_PIXELS && width.max(height) <= u64::from(u32::MAX) {
         let gib = (pixels * BYTES_PER_PIXEL) as f64 / f64::powi(2.0, 30);
         return refuse(format!(
             "would need {} bytes ({gib:.1} GiB) at {BYTES_PER_PIXEL} a pixel; stay within {MOST_PIXELS} pixels, e.g. 16384 × 16384",
             pixels * BYTES_PER_PIXEL
         ));
+    }
+    if let Err(problem) = side_lengths(width, height) {
+        return refuse(problem);
     }
     match (u32::try_from(width), u32::try_from(height)) {
         (Ok(width), Ok(height)) => Ok((width, height)),
@@ -98,12 +98,7 @@ pub(super) fn camera(camera: &Camera) -> Check {
     finite_vec("target", camera.target)?;
     finite_vec("up", camera.up)?;
     finite("fov_y_deg", camera.fov_y_deg)?;
-    if let Err(problem) = side_lengths(camera.width.into(), camera.height.into()) {
-        return Err(format!(
-            "image size {} × {} {problem}",
-            camera.width, camera.height
-        ));
-    }
+    check_image_size(camera.width.into(), camera.height.into()).map_err(|e| e.to_string())?;
     let fov = camera.fov_y_deg;
     ensure(fov as f32 > 0.0 && (fov as f32) < 180.0, || {
         format!(

@@ -148,6 +148,11 @@ fn image_sizes_are_bounded() {
         &message(32_768, 16_384),
         &["32768 × 16384", "30064771072 bytes", "56 a pixel"],
     );
+    assert_says(
+        &message(1_000_000, 1_000_000),
+        &["would need 56000000000000 bytes"],
+    );
+    assert_says(&message(1_000_000, 2), &["too large", "65536"]);
     assert_says(&message(u64::MAX, u64::MAX), &["too large", "65536"]);
 }
 
