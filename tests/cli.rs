@@ -121,11 +121,7 @@ impl Place {
     /// Exit 2, an error with all these words on stderr, nothing on stdout, no new file.
     fn refuses(&self, args: &[&str], words: &[&str]) {
         let before = self.files();
-        let Outcome {
-            code,
-            stdout,
-            stderr,
-        } = self.run(args);
+        let Outcome { code, stdout, stderr } = self.run(args);
         assert_eq!(code, Some(2), "{args:?}: {stderr}");
         assert!(stderr.starts_with("error: "), "{args:?}: {stderr}");
         for word in words {
@@ -153,54 +149,18 @@ fn bad_scenes_are_refused_with_the_object_and_the_remedy() {
         (radius, "radius = 0", &["ball", "radius"]),
         (radius, "radius = -2", &["ball", "radius", "inward"]),
         (clay, "color = [nan, 0, 0]", &["clay", "color"]),
-        (
-            clay,
-            "colour = [0.7, 0.4, 0.3]",
-            &["clay", "did you mean \"color\"?"],
-        ),
+        (clay, "colour = [0.7, 0.4, 0.3]", &["clay", "did you mean \"color\"?"]),
         (clay, "color = [-0.1, 0, 0]", &["clay", "color"]),
-        (
-            "e2 = [0, 0, -10]",
-            "e2 = [20, 0, 0]",
-            &["floor", "parallel"],
-        ),
-        (
-            "target = [0, 0, 0]",
-            "target = [0, 2, 5]",
-            &["camera", "up"],
-        ),
-        (
-            "target = [0, 0, 0]",
-            "target = [0, 1, 5]",
-            &["camera", "target"],
-        ),
-        (
-            "fov_y_deg = 40",
-            "fov_y_deg = 180",
-            &["camera", "fov_y_deg"],
-        ),
-        (
-            "material = \"clay\"",
-            "material = \"cley\"",
-            &["did you mean \"clay\"?"],
-        ),
-        (
-            "type = \"diffuse\"",
-            "type = \"difuse\"",
-            &["did you mean \"diffuse\"?"],
-        ),
-        (
-            "[environment]",
-            "[enviroment]",
-            &["did you mean \"environment\"?"],
-        ),
+        ("e2 = [0, 0, -10]", "e2 = [20, 0, 0]", &["floor", "parallel"]),
+        ("target = [0, 0, 0]", "target = [0, 2, 5]", &["camera", "up"]),
+        ("target = [0, 0, 0]", "target = [0, 1, 5]", &["camera", "target"]),
+        ("fov_y_deg = 40", "fov_y_deg = 180", &["camera", "fov_y_deg"]),
+        ("material = \"clay\"", "material = \"cley\"", &["did you mean \"clay\"?"]),
+        ("type = \"diffuse\"", "type = \"difuse\"", &["did you mean \"diffuse\"?"]),
+        ("[environment]", "[enviroment]", &["did you mean \"environment\"?"]),
         ("width = 16", "width = 0", &["0 × 12"]),
         ("spp = 2", "spp = 0", &["spp"]),
-        (
-            "spp = 2",
-            "spp = 2\nmax_bounces = 65",
-            &["max_bounces", "64"],
-        ),
+        ("spp = 2", "spp = 2\nmax_bounces = 65", &["max_bounces", "64"]),
         ("name = \"ball\"", "name = ", &["bad.toml:2"]),
     ] {
         place.variant("bad.toml", from, to);
@@ -209,17 +169,11 @@ fn bad_scenes_are_refused_with_the_object_and_the_remedy() {
     let glass = |ior: &str| format!("type = \"dielectric\"\nior = {ior}");
     for ior in ["0", "-1.5", "nan"] {
         let text = BALL.replacen(clay, "", 1);
-        place.write(
-            "bad.toml",
-            text.replacen("type = \"diffuse\"", &glass(ior), 1),
-        );
+        place.write("bad.toml", text.replacen("type = \"diffuse\"", &glass(ior), 1));
         place.refuses_scene("bad.toml", &["clay", "ior"]);
     }
     let huge = BALL.replacen("width = 16", "width = 1000000", 1);
-    place.write(
-        "bad.toml",
-        huge.replacen("height = 12", "height = 1000000", 1),
-    );
+    place.write("bad.toml", huge.replacen("height = 12", "height = 1000000", 1));
     place.refuses_scene("bad.toml", &["1000000", "56000000000000 bytes"]);
 }
 
@@ -258,40 +212,22 @@ fn bad_options_are_refused_by_name_with_what_would_do() {
         (&["--error", "0"], &["--error", "above 0"]),
         (&["--error", "nan"], &["--error", "above 0"]),
         (&["--error", "-0.1"], &["--error", "above 0"]),
-        (
-            &["--spp", "2", "--time", "1s"],
-            &["--spp", "--time", "cannot be used"],
-        ),
-        (
-            &["--time", "1s", "--error", "0.1"],
-            &["--time", "--error", "cannot be used"],
-        ),
+        (&["--spp", "2", "--time", "1s"], &["--spp", "--time", "cannot be used"]),
+        (&["--time", "1s", "--error", "0.1"], &["--time", "--error", "cannot be used"]),
         (&["--max-spp", "5"], &["--max-spp", "--spp"]),
-        (
-            &["--error", "0.1", "--max-spp", "0"],
-            &["--max-spp", "at least 1"],
-        ),
+        (&["--error", "0.1", "--max-spp", "0"], &["--max-spp", "at least 1"]),
         (&["--size", "0x10"], &["--size", "0 × 10"]),
         (&["--size", "10x0"], &["--size", "10 × 0"]),
         (&["--size", "-1x5"], &["--size", "640x480"]),
         (&["--size", "640"], &["--size", "640x480"]),
-        (
-            &["--size", "1000000x1000000"],
-            &["--size", "56000000000000 bytes"],
-        ),
+        (&["--size", "1000000x1000000"], &["--size", "56000000000000 bytes"]),
         (&["--size", "65536x65536"], &["--size", "bytes", "GiB"]),
         (&["--seed", "-1"], &["--seed"]),
-        (
-            &["--first-sample", "4294967295"],
-            &["--first-sample", "lower"],
-        ),
+        (&["--first-sample", "4294967295"], &["--first-sample", "lower"]),
         (&["--max-bounces", "0"], &["--max-bounces", "1..=64"]),
         (&["--max-bounces", "65"], &["--max-bounces", "1..=64"]),
         (&["--direct-light", "maybe"], &["--direct-light"]),
-        (
-            &["--engine", "warp"],
-            &["--engine", "wavefront", "megakernel"],
-        ),
+        (&["--engine", "warp"], &["--engine", "wavefront", "megakernel"]),
         (&["--adapter", ""], &["--adapter", "qtracer info"]),
         (&["--threads", "0"], &["--threads", "1..=1024"]),
         (&["--pool", "0"], &["--pool"]),
@@ -314,10 +250,7 @@ fn outputs_that_cannot_be_written_are_refused_before_rendering() {
         let args = [&["render", "ball.toml", "-o", output][..], &endless].concat();
         place.refuses(&args, words);
     };
-    refuses(
-        "nowhere/out.png",
-        &["nowhere", "does not exist", "create it"],
-    );
+    refuses("nowhere/out.png", &["nowhere", "does not exist", "create it"]);
     refuses("ball.toml/out.png", &["not a folder"]);
     refuses("folder.png", &["folder.png", "is a folder"]);
     refuses("out.tiff", &["out.tiff", ".png", ".exr"]);
@@ -333,25 +266,11 @@ fn outputs_that_cannot_be_written_are_refused_before_rendering() {
 #[test]
 fn odd_scenes_render_with_a_warning() {
     let place = Place::new();
-    place.variant(
-        "dark.toml",
-        "radiance = [0.5, 0.7, 1.0]",
-        "radiance = [0, 0, 0]",
-    );
-    place.variant(
-        "bright.toml",
-        "color = [0.7, 0.4, 0.3]",
-        "color = [1.5, 0.4, 0.3]",
-    );
-    for (scene, words) in [
-        ("dark", ["warning:", "black"]),
-        ("bright", ["clay", "energy"]),
-    ] {
+    place.variant("dark.toml", "radiance = [0.5, 0.7, 1.0]", "radiance = [0, 0, 0]");
+    place.variant("bright.toml", "color = [0.7, 0.4, 0.3]", "color = [1.5, 0.4, 0.3]");
+    for (scene, words) in [("dark", ["warning:", "black"]), ("bright", ["clay", "energy"])] {
         let file = format!("{scene}.toml");
-        for args in [
-            &["render", &file, "--engine", "cpu", "-q"][..],
-            &["check", &file],
-        ] {
+        for args in [&["render", &file, "--engine", "cpu", "-q"][..], &["check", &file]] {
             let stderr = place.succeed(args).stderr;
             assert!(words.iter().all(|word| stderr.contains(word)), "{stderr}");
         }
@@ -364,24 +283,12 @@ fn one_render_fills_several_files_and_says_so_on_stderr_only() {
     let place = Place::new();
     let outcome = place.render(&["-o", "out.png", "-o", "out.exr", "--seed", "7"]);
     assert_eq!(outcome.stdout, "");
-    assert!(
-        outcome.stderr.contains("out.png, out.exr"),
-        "{}",
-        outcome.stderr
-    );
+    assert!(outcome.stderr.contains("out.png, out.exr"), "{}", outcome.stderr);
     let (png, exr) = (place.image("out.png"), place.image("out.exr"));
-    assert_eq!(
-        (png.width, png.height, exr.width, exr.height),
-        (16, 12, 16, 12)
-    );
+    assert_eq!((png.width, png.height, exr.width, exr.height), (16, 12, 16, 12));
     assert!(exr.standard_error.is_some() && exr.features.is_some());
     assert!(exr.samples.unwrap().iter().all(|&count| count == 2.0));
-    for (key, value) in [
-        ("scene", "ball"),
-        ("seed", "7"),
-        ("samples", "2"),
-        ("engine", "cpu"),
-    ] {
+    for (key, value) in [("scene", "ball"), ("seed", "7"), ("samples", "2"), ("engine", "cpu")] {
         assert_eq!(exr.metadata.get(key), Some(value));
     }
     let sky = exr.rgb[0];
@@ -411,16 +318,7 @@ fn equal_seeds_give_equal_bytes_and_others_do_not() {
         assert!(place.bytes(a) == place.bytes(b), "{a} and {b} differ");
         assert_ne!(place.image(a).rgb, place.image(c).rgb);
     }
-    place.render(&[
-        "--size",
-        "40x50",
-        "--seed",
-        "5",
-        "--threads",
-        "1",
-        "-o",
-        "one.exr",
-    ]);
+    place.render(&["--size", "40x50", "--seed", "5", "--threads", "1", "-o", "one.exr"]);
     assert_eq!(place.image("one.exr").rgb, place.image("a.exr").rgb);
 }
 
@@ -430,31 +328,14 @@ fn stats_are_all_that_stdout_holds() {
     let outcome = place.render(&["--size", "20x10", "--spp", "3", "--stats", "json"]);
     let stats: serde_json::Value = serde_json::from_str(&outcome.stdout).unwrap();
     assert_eq!(stats["scene"], "ball");
-    assert_eq!(
-        (&stats["width"], &stats["height"]),
-        (&20.into(), &10.into())
-    );
-    assert_eq!(
-        (&stats["samples"], &stats["paths"]),
-        (&3.into(), &600.into())
-    );
-    assert_eq!(
-        (&stats["engine"], &stats["complete"]),
-        (&"cpu".into(), &true.into())
-    );
-    for number in [
-        "wall_seconds",
-        "mpaths_per_second",
-        "relative_error",
-        "seed",
-    ] {
+    assert_eq!((&stats["width"], &stats["height"]), (&20.into(), &10.into()));
+    assert_eq!((&stats["samples"], &stats["paths"]), (&3.into(), &600.into()));
+    assert_eq!((&stats["engine"], &stats["complete"]), (&"cpu".into(), &true.into()));
+    for number in ["wall_seconds", "mpaths_per_second", "relative_error", "seed"] {
         assert!(stats[number].is_number(), "{number}");
     }
     let text = place.render(&["--stats", "text"]).stdout;
-    assert!(
-        text.contains("relative_error") && text.contains("ball"),
-        "{text}"
-    );
+    assert!(text.contains("relative_error") && text.contains("ball"), "{text}");
 }
 
 #[test]
@@ -472,11 +353,7 @@ fn time_and_error_stop_where_they_say() {
     let error = precise["relative_error"].as_f64().unwrap();
     assert!((0.005..=0.02).contains(&error), "{error}");
     let capped = place.render(&["--error", "1e-9", "--max-spp", "20", "--stats", "json"]);
-    assert!(
-        capped.stderr.contains("warning: stopped at 20 samples"),
-        "{}",
-        capped.stderr
-    );
+    assert!(capped.stderr.contains("warning: stopped at 20 samples"), "{}", capped.stderr);
 }
 
 #[cfg(unix)]
@@ -489,16 +366,8 @@ fn an_interrupt_ends_with_the_image_so_far() {
             place.command(&[&["render", "ball.toml"], &endless[..]].concat())
         });
         assert_eq!(outcome.code, Some(1), "{}", outcome.stderr);
-        assert!(
-            outcome.stderr.contains("error: interrupted"),
-            "{}",
-            outcome.stderr
-        );
-        assert!(
-            outcome.stderr.contains("of 4000000000"),
-            "{}",
-            outcome.stderr
-        );
+        assert!(outcome.stderr.contains("error: interrupted"), "{}", outcome.stderr);
+        assert!(outcome.stderr.contains("of 4000000000"), "{}", outcome.stderr);
         let image = place.image("out.exr");
         assert!(image.samples.unwrap().iter().all(|&count| count >= 1.0));
         fs::remove_file(place.path("out.exr")).unwrap();
@@ -510,21 +379,14 @@ fn an_interrupt_ends_with_the_image_so_far() {
 fn an_interrupt_before_the_first_sample_writes_nothing_and_says_so() {
     let place = Place::new();
     let closed = BALL.replacen("radius = 1", "radius = 50", 1);
-    place.write(
-        "slow.toml",
-        closed.replacen("[0.7, 0.4, 0.3]", "[1, 1, 1]", 1),
-    );
+    place.write("slow.toml", closed.replacen("[0.7, 0.4, 0.3]", "[1, 1, 1]", 1));
     let outcome = interrupt("-INT", || {
         let slow = ["--size", "2500x2500", "--roulette", "off"];
         let one_core = ["--engine", "cpu", "--threads", "1"];
         place.command(&[&["render", "slow.toml"], &slow[..], &one_core].concat())
     });
     assert_eq!(outcome.code, Some(1), "{}", outcome.stderr);
-    assert!(
-        outcome.stderr.contains("nothing was written"),
-        "{}",
-        outcome.stderr
-    );
+    assert!(outcome.stderr.contains("nothing was written"), "{}", outcome.stderr);
     assert_eq!(place.files(), ["ball.toml", "slow.toml"]);
 }
 
@@ -533,15 +395,9 @@ fn an_interrupt_before_the_first_sample_writes_nothing_and_says_so() {
 fn interrupt(signal: &str, command: impl Fn() -> Command) -> Outcome {
     for wait in [300, 1000, 3000] {
         let mut command = command();
-        let child = command
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .unwrap();
+        let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         std::thread::sleep(Duration::from_millis(wait));
-        let sent = Command::new("kill")
-            .args([signal, &child.id().to_string()])
-            .status();
+        let sent = Command::new("kill").args([signal, &child.id().to_string()]).status();
         assert!(sent.unwrap().success());
         let outcome = Outcome::from(child.wait_with_output().unwrap());
         if outcome.code.is_some() {
@@ -562,39 +418,18 @@ fn a_full_disk_fails_that_output_only_and_keeps_what_was_there() {
     let limited = "trap '' XFSZ; ulimit -f 8; exec \"$@\"";
     let outcome = under_shell(&place, &[], limited, "noise.exr", "small.png");
     assert_eq!(outcome.code, Some(1), "{}", outcome.stderr);
-    assert!(
-        outcome.stderr.contains("error: cannot write \"noise.exr\""),
-        "{}",
-        outcome.stderr
-    );
+    assert!(outcome.stderr.contains("error: cannot write \"noise.exr\""), "{}", outcome.stderr);
     assert_eq!(place.bytes("noise.exr"), b"an older image");
-    assert_eq!(
-        place.files(),
-        ["ball.toml", "full", "noise.exr", "small.png"]
-    );
+    assert_eq!(place.files(), ["ball.toml", "full", "noise.exr", "small.png"]);
 
     let filled = "mount -t tmpfs -o size=8k tmpfs full || exit 77; exec \"$@\"";
-    let outcome = under_shell(
-        &place,
-        &["unshare", "-rm"],
-        filled,
-        "full/noise.exr",
-        "big.png",
-    );
+    let outcome = under_shell(&place, &["unshare", "-rm"], filled, "full/noise.exr", "big.png");
     if outcome.stderr.contains("unshare") || outcome.code == Some(77) {
         return; // no namespaces here; the limit above has tested the same path
     }
     assert_eq!(outcome.code, Some(1), "{}", outcome.stderr);
-    let words = [
-        "cannot write \"full/noise.exr\"",
-        "No space left",
-        "free some space",
-    ];
-    assert!(
-        words.iter().all(|word| outcome.stderr.contains(word)),
-        "{}",
-        outcome.stderr
-    );
+    let words = ["cannot write \"full/noise.exr\"", "No space left", "free some space"];
+    assert!(words.iter().all(|word| outcome.stderr.contains(word)), "{}", outcome.stderr);
     assert!(place.path("big.png").is_file());
 }
 
@@ -607,11 +442,7 @@ fn under_shell(place: &Place, before: &[&str], script: &str, exr: &str, png: &st
     let mut command = Command::new(words[0]);
     command.args(&words[1..]).current_dir(place.0.path());
     command.output().map_or_else(
-        |error| Outcome {
-            code: None,
-            stdout: String::new(),
-            stderr: format!("{words:?}: {error}"),
-        },
+        |error| Outcome { code: None, stdout: String::new(), stderr: format!("{words:?}: {error}") },
         Outcome::from,
     )
 }
@@ -620,60 +451,28 @@ fn under_shell(place: &Place, before: &[&str], script: &str, exr: &str, png: &st
 fn comparing_an_image_with_itself_passes_every_test() {
     let place = Place::new();
     place.render(&["-o", "a.exr", "--spp", "64"]);
-    let all = [
-        "compare",
-        "a.exr",
-        "a.exr",
-        "--z-test",
-        "--max-relmse",
-        "0",
-        "--json",
-    ];
+    let all = ["compare", "a.exr", "a.exr", "--z-test", "--max-relmse", "0", "--json"];
     let outcome = place.succeed(&all);
     let json: serde_json::Value = serde_json::from_str(&outcome.stdout).unwrap();
     assert_eq!(json["relative_mse"]["plain"], 0.0);
     assert_eq!(json["z_test"]["passes"], true);
-    assert_eq!(
-        (&json["image"], &json["reference"]),
-        (&"a.exr".into(), &"a.exr".into())
-    );
+    assert_eq!((&json["image"], &json["reference"]), (&"a.exr".into(), &"a.exr".into()));
     let table = place.succeed(&["compare", "a.exr", "a.exr"]).stdout;
-    assert!(
-        table.contains("relative MSE") && table.contains("z-test"),
-        "{table}"
-    );
+    assert!(table.contains("relative MSE") && table.contains("z-test"), "{table}");
 }
 
 #[test]
 fn seeds_agree_and_two_per_cent_more_light_does_not() {
     let place = Place::new();
     for (seed, name) in [("1", "a.exr"), ("2", "b.exr")] {
-        place.render(&[
-            "--seed",
-            seed,
-            "-o",
-            name,
-            "--spp",
-            "256",
-            "--sampler",
-            "independent",
-        ]);
+        place.render(&["--seed", seed, "-o", name, "--spp", "256", "--sampler", "independent"]);
     }
     let test = |a: &str| place.run(&["compare", a, "b.exr", "--z-test"]);
     let same = test("a.exr");
     assert_eq!(same.code, Some(0), "{}{}", same.stdout, same.stderr);
     let mut brighter = place.image("a.exr");
-    brighter
-        .rgb
-        .iter_mut()
-        .flatten()
-        .for_each(|value| *value *= 1.02);
-    write_image(
-        &place.path("brighter.exr"),
-        &brighter,
-        &WriteOptions::default(),
-    )
-    .unwrap();
+    brighter.rgb.iter_mut().flatten().for_each(|value| *value *= 1.02);
+    write_image(&place.path("brighter.exr"), &brighter, &WriteOptions::default()).unwrap();
     let other = test("brighter.exr");
     assert_eq!(other.code, Some(1), "{}", other.stdout);
     assert!(other.stderr.contains("error: --z-test"), "{}", other.stderr);
@@ -708,20 +507,9 @@ fn standard_errors_are_found_in_a_file_beside_the_reference() {
     save("bare.exr", &a.rgb);
     let without = place.run(&["compare", "bare.exr", "bare.exr", "--z-test"]);
     assert_eq!(without.code, Some(1));
-    assert!(
-        without.stderr.contains("can't be made"),
-        "{}",
-        without.stderr
-    );
+    assert!(without.stderr.contains("can't be made"), "{}", without.stderr);
     save("errors.exr", a.standard_error.as_ref().unwrap());
-    let given = [
-        "compare",
-        "bare.exr",
-        "bare.exr",
-        "--z-test",
-        "--stderr-of-b",
-        "errors.exr",
-    ];
+    let given = ["compare", "bare.exr", "bare.exr", "--z-test", "--stderr-of-b", "errors.exr"];
     assert!(place.succeed(&given).stderr.contains("\"errors.exr\""));
     fs::rename(place.path("errors.exr"), place.path("bare.se.exr")).unwrap();
     let found = place.succeed(&["compare", "a.exr", "bare.exr", "--z-test"]);
@@ -757,14 +545,8 @@ fn images_that_cannot_be_compared_are_bad_input() {
     refuses(&["garbage.exr"], &["garbage.exr", "undamaged"]);
     refuses(&["wide.exr"], &["16x12", "17x12"]);
     refuses(&["."], &["regular file"]);
-    refuses(
-        &["a.exr", "--stderr-of-b", "wide.exr"],
-        &["wide.exr", "17x12"],
-    );
-    refuses(
-        &["a.exr", "--diff", "nowhere/d.png"],
-        &["nowhere", "does not exist"],
-    );
+    refuses(&["a.exr", "--stderr-of-b", "wide.exr"], &["wide.exr", "17x12"]);
+    refuses(&["a.exr", "--diff", "nowhere/d.png"], &["nowhere", "does not exist"]);
     refuses(&["a.exr", "--alpha", "1"], &["--alpha", "between 0 and 1"]);
     refuses(&["a.exr", "--epsilon", "0"], &["--epsilon", "above 0"]);
     refuses(&["a.exr", "--max-relmse", "nan"], &["--max-relmse"]);
@@ -787,22 +569,9 @@ fn parts_merge_into_what_one_render_gives() {
         }
     };
     close(&whole.rgb, &merged.rgb);
-    close(
-        &whole.standard_error.unwrap(),
-        &merged.standard_error.unwrap(),
-    );
-    assert_eq!(
-        (whole.samples, whole.features),
-        (merged.samples, merged.features)
-    );
-    for key in [
-        "scene",
-        "seed",
-        "first_sample",
-        "samples",
-        "engine",
-        "max_bounces",
-    ] {
+    close(&whole.standard_error.unwrap(), &merged.standard_error.unwrap());
+    assert_eq!((whole.samples, whole.features), (merged.samples, merged.features));
+    for key in ["scene", "seed", "first_sample", "samples", "engine", "max_bounces"] {
         assert_eq!(whole.metadata.get(key), merged.metadata.get(key), "{key}");
     }
     assert_eq!(merged.metadata.get("parts"), None);
@@ -818,10 +587,7 @@ fn renders_of_different_seeds_merge_and_remember_their_parts() {
     let both = place.image("both.exr");
     assert_eq!(both.metadata.get("parts"), Some("1:0..2 2:0..2"));
     assert_eq!(both.metadata.get("samples"), Some("4"));
-    place.refuses(
-        &["merge", "both.exr", "2.exr", "-o", "more.exr"],
-        &["seed 2", "share"],
-    );
+    place.refuses(&["merge", "both.exr", "2.exr", "-o", "more.exr"], &["seed 2", "share"]);
 }
 
 #[test]
@@ -832,16 +598,7 @@ fn parts_that_do_not_belong_together_are_refused() {
     place.render(&["-o", "overlapping.exr", "--first-sample", "1"]);
     place.render(&["-o", "wide.exr", "--size", "17x12", "--seed", "1"]);
     place.render(&["-o", "short.exr", "--max-bounces", "2", "--seed", "1"]);
-    place.succeed(&[
-        "render",
-        "other.toml",
-        "--engine",
-        "cpu",
-        "--seed",
-        "1",
-        "-o",
-        "other.exr",
-    ]);
+    place.succeed(&["render", "other.toml", "--engine", "cpu", "--seed", "1", "-o", "other.exr"]);
     let mut bare = place.image("a.exr");
     bare.samples = None;
     write_image(&place.path("bare.exr"), &bare, &WriteOptions::default()).unwrap();
@@ -857,24 +614,14 @@ fn parts_that_do_not_belong_together_are_refused() {
     refuses("bare.exr", &["bare.exr", "no sample counts"]);
     refuses("missing.exr", &["missing.exr", "check the name"]);
     place.refuses(&["merge", "a.exr", "-o", "out.exr"], &["2"]);
-    place.refuses(
-        &["merge", "a.exr", "a.exr", "-o", "no/out.exr"],
-        &["does not exist"],
-    );
+    place.refuses(&["merge", "a.exr", "a.exr", "-o", "no/out.exr"], &["does not exist"]);
 }
 
 #[test]
 fn dumped_kernels_hold_only_what_the_scene_needs() {
     let place = Place::new();
     for (engine, kernel) in [("cpu", "step.wgsl"), ("megakernel", "megakernel.wgsl")] {
-        let args = [
-            "render",
-            "ball.toml",
-            "--engine",
-            engine,
-            "--dump-kernels",
-            engine,
-        ];
+        let args = ["render", "ball.toml", "--engine", engine, "--dump-kernels", engine];
         // Without a GPU the render fails after that; the kernels are there all the same.
         no_gpu(&place, &args);
         assert!(place.path(engine).join(kernel).is_file());
@@ -893,13 +640,8 @@ fn dumped_kernels_hold_only_what_the_scene_needs() {
 fn assert_no_function_of_other_materials(path: &Path) {
     let text = fs::read_to_string(path).unwrap();
     assert!(text.contains("@compute"), "{path:?}");
-    for line in text
-        .lines()
-        .filter(|line| line.trim_start().starts_with("fn "))
-    {
-        let foreign = ["dielectric", "glossy", "mirror"]
-            .iter()
-            .any(|kind| line.contains(kind));
+    for line in text.lines().filter(|line| line.trim_start().starts_with("fn ")) {
+        let foreign = ["dielectric", "glossy", "mirror"].iter().any(|kind| line.contains(kind));
         assert!(!foreign, "{path:?}: {line}");
     }
 }
@@ -922,29 +664,11 @@ fn without_a_gpu_auto_takes_the_cpu_and_says_so_and_gpu_engines_fail() {
     assert_eq!(info["adapters"], serde_json::json!([]));
     assert_eq!(info["auto"]["engine"], "cpu");
     let text = no_gpu(&place, &["info"]);
-    assert!(
-        text.stdout.contains("none found") && text.code == Some(0),
-        "{}",
-        text.stdout
-    );
+    assert!(text.stdout.contains("none found") && text.code == Some(0), "{}", text.stdout);
     let auto = no_gpu(&place, &["render", "ball.toml"]);
     assert_eq!(auto.code, Some(0), "{}", auto.stderr);
-    assert!(
-        auto.stderr.contains("note: no GPU found"),
-        "{}",
-        auto.stderr
-    );
-    let gpu = no_gpu(
-        &place,
-        &[
-            "render",
-            "ball.toml",
-            "--engine",
-            "wavefront",
-            "-o",
-            "w.png",
-        ],
-    );
+    assert!(auto.stderr.contains("note: no GPU found"), "{}", auto.stderr);
+    let gpu = no_gpu(&place, &["render", "ball.toml", "--engine", "wavefront", "-o", "w.png"]);
     assert_eq!(gpu.code, Some(1), "{}", gpu.stderr);
     assert!(gpu.stderr.contains("--engine cpu"), "{}", gpu.stderr);
     assert!(!place.path("w.png").exists());
@@ -953,10 +677,7 @@ fn without_a_gpu_auto_takes_the_cpu_and_says_so_and_gpu_engines_fail() {
 #[test]
 fn an_adapter_that_is_not_there_is_bad_input() {
     let place = Place::new();
-    place.refuses(
-        &["render", "ball.toml", "--adapter", "no such thing"],
-        &["GPU"],
-    );
+    place.refuses(&["render", "ball.toml", "--adapter", "no such thing"], &["GPU"]);
 }
 
 #[test]
@@ -964,30 +685,18 @@ fn options_without_effect_are_named() {
     let place = Place::new();
     let idle = ["--pool", "1024", "--exposure", "1", "-o", "a.exr"];
     let stderr = place.render(&idle).stderr;
-    assert!(
-        stderr.contains("warning: --pool has no effect on the cpu engine"),
-        "{stderr}"
-    );
-    assert!(
-        stderr.contains("warning: --exposure has no effect"),
-        "{stderr}"
-    );
+    assert!(stderr.contains("warning: --pool has no effect on the cpu engine"), "{stderr}");
+    assert!(stderr.contains("warning: --exposure has no effect"), "{stderr}");
 }
 
 #[test]
 fn every_help_teaches_by_example() {
     let place = Place::new();
     for command in ["", "render", "compare", "merge", "info", "check"] {
-        let args: Vec<&str> = [command, "--help"]
-            .into_iter()
-            .filter(|a| !a.is_empty())
-            .collect();
+        let args: Vec<&str> = [command, "--help"].into_iter().filter(|a| !a.is_empty()).collect();
         let help = place.succeed(&args).stdout;
         let examples = help.split_once("Examples:").expect("no examples").1;
-        let lines = examples
-            .lines()
-            .filter(|line| line.contains("qtracer "))
-            .count();
+        let lines = examples.lines().filter(|line| line.contains("qtracer ")).count();
         assert!(lines >= 3, "{command}: {lines} examples");
     }
 }
@@ -995,17 +704,9 @@ fn every_help_teaches_by_example() {
 #[test]
 fn a_reader_that_goes_away_is_no_panic() {
     let place = Place::new();
-    for args in [
-        &["check", "ball.toml"][..],
-        &["render", "--help"],
-        &["info", "--json"],
-    ] {
+    for args in [&["check", "ball.toml"][..], &["render", "--help"], &["info", "--json"]] {
         let mut command = place.command(args);
-        let mut child = command
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .unwrap();
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         drop(child.stdout.take());
         let outcome = Outcome::from(child.wait_with_output().unwrap());
         assert_eq!(outcome.code, Some(0), "{args:?}: {}", outcome.stderr);

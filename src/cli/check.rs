@@ -42,29 +42,18 @@ pub fn run(args: &CheckArgs) -> Result<(), Failure> {
     }
     match (bad, args.scenes.len()) {
         (0, _) => Ok(()),
-        (bad, all) => Err(Failure::bad_input(format!(
-            "{bad} of {all} scenes can't be used"
-        ))),
+        (bad, all) => Err(Failure::bad_input(format!("{bad} of {all} scenes can't be used"))),
     }
 }
 
 fn describe(path: &Path, scene: &Scene) -> String {
     let compiled = CompiledScene::new(scene);
     let defaults = &scene.defaults;
-    let key = KernelKey::new(
-        &compiled,
-        defaults.direct_light,
-        defaults.roulette,
-        Sampler::default(),
-    );
+    let key = KernelKey::new(&compiled, defaults.direct_light, defaults.roulette, Sampler::default());
     let on_off = |on| if on { "on" } else { "off" };
     let is_sphere = |geometry: &Geometry| matches!(geometry, Geometry::Sphere { .. });
     let shapes = scene.shapes.len();
-    let spheres = scene
-        .shapes
-        .iter()
-        .filter(|s| is_sphere(&s.geometry))
-        .count();
+    let spheres = scene.shapes.iter().filter(|s| is_sphere(&s.geometry)).count();
     let environment = match scene.environment.max_element() > 0.0 {
         true => " and the environment",
         false => "",
@@ -72,10 +61,7 @@ fn describe(path: &Path, scene: &Scene) -> String {
     [
         format!("{}", path.display()),
         format!("  name       {}", scene.name),
-        format!(
-            "  size       {}x{}",
-            scene.camera.width, scene.camera.height
-        ),
+        format!("  size       {}x{}", scene.camera.width, scene.camera.height),
         format!(
             "  render     {} samples/pixel, {} levels, direct light {}, roulette {}",
             defaults.spp,
@@ -83,10 +69,7 @@ fn describe(path: &Path, scene: &Scene) -> String {
             on_off(defaults.direct_light),
             on_off(defaults.roulette)
         ),
-        format!(
-            "  shapes     {shapes}: {spheres} spheres, {} quads",
-            shapes - spheres
-        ),
+        format!("  shapes     {shapes}: {spheres} spheres, {} quads", shapes - spheres),
         format!("  materials  {}: {}", scene.materials.len(), kinds(scene)),
         format!("  lights     {}{environment}", compiled.lights.len()),
         format!("  kernels    {key}"),
@@ -103,16 +86,8 @@ fn kinds(scene: &Scene) -> String {
         MaterialKind::Dielectric { .. } => 3,
     };
     let mut counts = [0; KIND_NAMES.len()];
-    scene
-        .materials
-        .iter()
-        .for_each(|m| counts[number(&m.kind)] += 1);
-    let present = counts
-        .iter()
-        .zip(KIND_NAMES)
-        .filter(|(count, _)| **count > 0);
-    let words: Vec<String> = present
-        .map(|(count, name)| format!("{count} {name}"))
-        .collect();
+    scene.materials.iter().for_each(|m| counts[number(&m.kind)] += 1);
+    let present = counts.iter().zip(KIND_NAMES).filter(|(count, _)| **count > 0);
+    let words: Vec<String> = present.map(|(count, name)| format!("{count} {name}")).collect();
     words.join(", ")
 }

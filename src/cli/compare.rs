@@ -82,10 +82,7 @@ pub fn run(args: &CompareArgs) -> Result<(), Failure> {
     }
     let a = read(&args.a, None)?;
     let b = read(&args.b, args.stderr_of_b.as_deref())?;
-    let mut options = ComparisonOptions {
-        epsilon: args.epsilon,
-        ..Default::default()
-    };
+    let mut options = ComparisonOptions { epsilon: args.epsilon, ..Default::default() };
     options.z_test.alpha = args.alpha;
     let comparison = Comparison::new(&a.view(), &b.view(), &options).map_err(Failure::bad_input)?;
     note_exact_images(args, &a, &b);
@@ -115,9 +112,7 @@ fn verdict(args: &CompareArgs, comparison: &Comparison) -> Vec<String> {
     let plain = comparison.relative_mse.plain;
     match args.max_relmse {
         Some(limit) if plain.is_nan() || plain > limit => {
-            problems.push(format!(
-                "relative MSE {plain:.4e} is above --max-relmse {limit}"
-            ));
+            problems.push(format!("relative MSE {plain:.4e} is above --max-relmse {limit}"));
         }
         _ => (),
     }
@@ -162,9 +157,7 @@ fn read_errors(path: &Path, image: &Image, errors: &Path) -> Result<Vec<[f32; 3]
             read.width, read.height, image.width, image.height
         )));
     }
-    console::note(format!(
-        "standard errors of \"{path}\" are from \"{errors}\""
-    ));
+    console::note(format!("standard errors of \"{path}\" are from \"{errors}\""));
     Ok(read.rgb)
 }
 
@@ -176,7 +169,5 @@ fn note_exact_images(args: &CompareArgs, a: &Image, b: &Image) {
         _ => return,
     };
     let exact = exact.display();
-    console::note(format!(
-        "\"{exact}\" has no standard errors: the z-test takes it as exact"
-    ));
+    console::note(format!("\"{exact}\" has no standard errors: the z-test takes it as exact"));
 }

@@ -10,19 +10,13 @@ const EPSILON: f32 = 0.01;
 /// `.exr`: A − B per channel, signed. `.png`: [`false_colour`] of the relative difference of luminance, full at `range`.
 /// The images have one size.
 pub fn write(path: &Path, a: &Image, b: &Image, range: f32) -> Result<(), ImageError> {
-    let is_exr = path
-        .extension()
-        .is_some_and(|e| e.eq_ignore_ascii_case("exr"));
+    let is_exr = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("exr"));
     let pixel = |(a, b): (&[f32; 3], &[f32; 3])| match is_exr {
         true => [a[0] - b[0], a[1] - b[1], a[2] - b[2]],
         false => false_colour(relative(*a, *b) / range),
     };
     let rgb = a.rgb.iter().zip(&b.rgb).map(pixel).collect();
-    write_image(
-        path,
-        &Image::new(a.width, a.height, rgb),
-        &WriteOptions::default(),
-    )
+    write_image(path, &Image::new(a.width, a.height, rgb), &WriteOptions::default())
 }
 
 fn relative(a: [f32; 3], b: [f32; 3]) -> f32 {

@@ -15,10 +15,7 @@ pub struct Failure {
 impl Failure {
     /// What was asked can't be done: arguments, scenes, images that can't be read, places that can't be written.
     pub fn bad_input(message: impl Display) -> Self {
-        Failure {
-            exit_code: 2,
-            messages: vec![message.to_string()],
-        }
+        Failure { exit_code: 2, messages: vec![message.to_string()] }
     }
 
     /// It could be asked, and failed; or images differ.
@@ -28,10 +25,7 @@ impl Failure {
 
     /// Several things failed.
     pub fn failed_all(messages: Vec<String>) -> Self {
-        Failure {
-            exit_code: 1,
-            messages,
-        }
+        Failure { exit_code: 1, messages }
     }
 
     /// A renderer that could not start: whether the options or the machine are to blame decides the exit code.
@@ -39,9 +33,7 @@ impl Failure {
         match error {
             RenderError::Option { .. }
             | RenderError::TooManySamples { .. }
-            | RenderError::Gpu(GpuError::NoAdapter {
-                wanted: Some(_), ..
-            }) => Self::bad_input(error),
+            | RenderError::Gpu(GpuError::NoAdapter { wanted: Some(_), .. }) => Self::bad_input(error),
             _ => Self::failed(error),
         }
     }

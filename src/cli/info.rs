@@ -64,11 +64,7 @@ fn auto() -> Auto {
                 notices => notices.join("; "),
             },
         },
-        Err(error) => Auto {
-            engine: None,
-            device: None,
-            why: error,
-        },
+        Err(error) => Auto { engine: None, device: None, why: error },
     }
 }
 
@@ -85,10 +81,7 @@ fn smallest_renderer() -> Result<Renderer, String> {
 }
 
 fn text(info: &Info) -> String {
-    let mut text = format!(
-        "qtracer {}\nCPU   {} threads\n",
-        info.version, info.cpu_threads
-    );
+    let mut text = format!("qtracer {}\nCPU   {} threads\n", info.version, info.cpu_threads);
     if info.adapters.is_empty() {
         text += "GPU   none found: no driver for Vulkan, Metal or DirectX 12\n";
     }
@@ -109,16 +102,9 @@ fn text(info: &Info) -> String {
             mebibytes(adapter.max_buffer)
         );
     }
-    let Auto {
-        engine,
-        device,
-        why,
-    } = &info.auto;
+    let Auto { engine, device, why } = &info.auto;
     let engine = engine.as_deref().unwrap_or("nothing");
-    let device = device
-        .as_ref()
-        .map(|d| format!(" on {d}"))
-        .unwrap_or_default();
+    let device = device.as_ref().map(|d| format!(" on {d}")).unwrap_or_default();
     let _ = writeln!(text, "auto  {engine}{device}: {why}");
     text
 }

@@ -23,16 +23,13 @@ pub fn dump(folder: &Path, scene: &Scene, options: &RenderOptions) -> Result<Str
         EngineChoice::Wavefront | EngineChoice::Auto => {
             (Stage::wavefront(&key, schedule), "the wavefront engine")
         }
-        EngineChoice::Cpu => (
-            Stage::wavefront(&key, schedule),
-            "the wavefront engine (the CPU engine has none)",
-        ),
+        EngineChoice::Cpu => {
+            (Stage::wavefront(&key, schedule), "the wavefront engine (the CPU engine has none)")
+        }
     };
     let refuse = |path: &Path, error: std::io::Error| {
         let path = path.display();
-        Failure::bad_input(format!(
-            "--dump-kernels: cannot write \"{path}\": {error}; choose another folder"
-        ))
+        Failure::bad_input(format!("--dump-kernels: cannot write \"{path}\": {error}; choose another folder"))
     };
     fs::create_dir_all(folder).map_err(|e| refuse(folder, e))?;
     for &stage in &stages {

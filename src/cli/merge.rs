@@ -47,9 +47,7 @@ pub fn run(args: &MergeArgs) -> Result<(), Failure> {
     if !args.quiet {
         let (count, path) = (args.images.len(), args.output.display());
         let samples = image.metadata.get("samples").unwrap_or_default();
-        console::line(format!(
-            "merged {count} images of {samples} samples/pixel; wrote {path}"
-        ));
+        console::line(format!("merged {count} images of {samples} samples/pixel; wrote {path}"));
     }
     Ok(())
 }
@@ -65,11 +63,7 @@ struct Part {
 
 impl fmt::Display for Part {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            f,
-            "{}:{}..{}",
-            self.seed, self.samples.start, self.samples.end
-        )
+        write!(f, "{}:{}..{}", self.seed, self.samples.start, self.samples.end)
     }
 }
 
@@ -118,11 +112,7 @@ impl Shard {
                 return Err(Failure::bad_input(format!(
                     "cannot merge \"{path}\" (samples {}..{}) with \"{old_path}\" (samples {}..{}): both have seed {} \
                      and share samples; render with another --first-sample or --seed",
-                    part.samples.start,
-                    part.samples.end,
-                    old.samples.start,
-                    old.samples.end,
-                    part.seed
+                    part.samples.start, part.samples.end, old.samples.start, old.samples.end, part.seed
                 )));
             }
         }
@@ -155,18 +145,10 @@ fn overlap(a: &Part, b: &Part) -> bool {
 /// The sums that an image was made of, from means m, their standard errors s and counts n:
 /// s² = (Σx² − n m²) / (n (n − 1)).
 fn film(image: &Image) -> Result<Film, &'static str> {
-    let errors = image
-        .standard_error
-        .as_ref()
-        .ok_or("it has no standard errors")?;
+    let errors = image.standard_error.as_ref().ok_or("it has no standard errors")?;
     let counts = image.samples.as_ref().ok_or("it has no sample counts")?;
     let mut film = Film::new(image.width, image.height);
-    let pixels = film
-        .pixels_mut()
-        .iter_mut()
-        .zip(&image.rgb)
-        .zip(errors)
-        .zip(counts);
+    let pixels = film.pixels_mut().iter_mut().zip(&image.rgb).zip(errors).zip(counts);
     for (((pixel, mean), error), &count) in pixels {
         if !(0.0..=1e15).contains(&count) {
             return Err("a sample count is no count");
@@ -189,10 +171,7 @@ fn film(image: &Image) -> Result<Film, &'static str> {
 /// Which samples an image says it has: `parts` of a merged one, else one range.
 fn parts(path: &Path, metadata: &Metadata) -> Option<Vec<Part>> {
     if let Some(list) = metadata.get("parts") {
-        return list
-            .split_whitespace()
-            .map(|text| part(path, text))
-            .collect();
+        return list.split_whitespace().map(|text| part(path, text)).collect();
     }
     let number = |key: &str| metadata.get(key)?.parse::<u64>().ok();
     let (seed, first, samples) = (number("seed")?, number("first_sample")?, number("samples")?);
@@ -286,12 +265,7 @@ mod tests {
 
     #[test]
     fn ranges_that_meet_become_one() {
-        let joined = coalesced(vec![
-            of("1:32..64"),
-            of("2:0..8"),
-            of("1:0..32"),
-            of("1:70..80"),
-        ]);
+        let joined = coalesced(vec![of("1:32..64"), of("2:0..8"), of("1:0..32"), of("1:70..80")]);
         let texts: Vec<String> = joined.iter().map(Part::to_string).collect();
         assert_eq!(texts, ["1:0..64", "1:70..80", "2:0..8"]);
     }

@@ -22,18 +22,14 @@ impl Progress {
         if let Ok(style) = ProgressStyle::with_template("{bar:30} {percent:>3} %  {msg}") {
             bar.set_style(style);
         }
-        Progress {
-            bar,
-            pixels: pixels as f64,
-        }
+        Progress { bar, pixels: pixels as f64 }
     }
 
     pub fn show(&self, stop: &Stop, state: &State) {
         if !self.bar.is_hidden() {
             let fraction = stop.fraction(state);
             self.bar.set_position((fraction * STEPS as f64) as u64);
-            self.bar
-                .set_message(message(stop, state, fraction, self.pixels));
+            self.bar.set_message(message(stop, state, fraction, self.pixels));
         }
     }
 
@@ -80,15 +76,8 @@ mod tests {
 
     #[test]
     fn the_message_tells_samples_rate_and_time_left() {
-        let stop = Stop {
-            goal: Goal::Samples,
-            max_samples: 64,
-        };
-        let state = State {
-            samples: 16,
-            elapsed: Duration::from_secs(25),
-            relative_error: f64::INFINITY,
-        };
+        let stop = Stop { goal: Goal::Samples, max_samples: 64 };
+        let state = State { samples: 16, elapsed: Duration::from_secs(25), relative_error: f64::INFINITY };
         let text = message(&stop, &state, stop.fraction(&state), 1e6);
         assert_eq!(text, "16/64 samples  0.64 Msamples/s  1:15 left");
         assert_eq!(clock(3723.0), "1:02:03");

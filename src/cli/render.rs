@@ -22,13 +22,11 @@ pub fn run(args: RenderArgs) -> Result<(), Failure> {
     }
     if let Some(threads) = job.threads {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
-        pool.build_global()
-            .map_err(|e| Failure::failed(format!("--threads {threads}: {e}")))?;
+        pool.build_global().map_err(|e| Failure::failed(format!("--threads {threads}: {e}")))?;
     }
     let slot = signals::watch();
     let start = Instant::now();
-    let mut renderer =
-        Renderer::new(&job.scene, job.options.clone()).map_err(|e| Failure::of_start(&e))?;
+    let mut renderer = Renderer::new(&job.scene, job.options.clone()).map_err(|e| Failure::of_start(&e))?;
     let cancel = slot.get_or_init(|| renderer.cancel_token()).clone();
     let preparation = start.elapsed();
     renderer.notices().iter().for_each(|text| note(&job, text));
@@ -108,13 +106,7 @@ struct Ending<'a> {
 }
 
 impl<'a> Ending<'a> {
-    fn new(
-        job: &'a Job,
-        renderer: &'a Renderer,
-        end: End,
-        preparation: Duration,
-        elapsed: Duration,
-    ) -> Self {
+    fn new(job: &'a Job, renderer: &'a Renderer, end: End, preparation: Duration, elapsed: Duration) -> Self {
         // An interrupt during the last step may come too late to matter.
         let all = renderer.film().samples().0 >= u64::from(job.stop.max_samples);
         let problem = match end {
@@ -153,9 +145,7 @@ impl<'a> Ending<'a> {
 
     /// Writes every output; one that can't be written does not keep the others from being so.
     fn write_outputs(&mut self) -> Vec<&'a PathBuf> {
-        let options = WriteOptions {
-            exposure: self.job.exposure,
-        };
+        let options = WriteOptions { exposure: self.job.exposure };
         let image = self.image();
         let mut written = Vec::new();
         for path in &self.job.outputs {
@@ -205,13 +195,7 @@ impl<'a> Ending<'a> {
                 state.samples
             ));
         }
-        let report = Report::new(
-            self.job,
-            self.renderer,
-            self.complete,
-            self.preparation,
-            self.elapsed,
-        );
+        let report = Report::new(self.job, self.renderer, self.complete, self.preparation, self.elapsed);
         if !self.job.quiet {
             console::line(report.summary(written));
         }
@@ -242,10 +226,7 @@ mod tests {
         Job {
             scene,
             options: RenderOptions::cpu(),
-            stop: Stop {
-                goal: Goal::Samples,
-                max_samples: 8,
-            },
+            stop: Stop { goal: Goal::Samples, max_samples: 8 },
             outputs: vec![output],
             exposure: 0.0,
             features: true,
@@ -276,10 +257,7 @@ mod tests {
         let job = job(folder.path().join("out.exr"));
         let messages = lose_the_device_after(3, &job);
         assert!(messages[0].contains("was lost"), "{messages:?}");
-        assert_eq!(
-            messages[1],
-            "the image written has 3 samples per pixel of 8"
-        );
+        assert_eq!(messages[1], "the image written has 3 samples per pixel of 8");
         let image = read_image(&job.outputs[0]).unwrap();
         assert!(image.samples.unwrap().iter().all(|&count| count == 3.0));
     }

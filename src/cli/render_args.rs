@@ -66,21 +66,11 @@ struct StopArgs {
 #[derive(Args)]
 struct TransportArgs {
     /// Seed of the random numbers: equal seeds give equal images
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = 0,
-        allow_negative_numbers = true
-    )]
+    #[arg(long, value_name = "N", default_value_t = 0, allow_negative_numbers = true)]
     seed: u32,
 
     /// Number of the first sample of each pixel, to render a later part of an image; see `qtracer merge`
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = 0,
-        allow_negative_numbers = true
-    )]
+    #[arg(long, value_name = "N", default_value_t = 0, allow_negative_numbers = true)]
     first_sample: u32,
 
     /// Levels of a path: 1 shows only what emits, 2 adds direct light [default: the scene's]
@@ -262,11 +252,7 @@ impl StopArgs {
     }
 }
 
-fn render_options(
-    size: Option<(u32, u32)>,
-    transport: &TransportArgs,
-    engine: &EngineArgs,
-) -> RenderOptions {
+fn render_options(size: Option<(u32, u32)>, transport: &TransportArgs, engine: &EngineArgs) -> RenderOptions {
     RenderOptions {
         size,
         seed: transport.seed,
@@ -307,15 +293,12 @@ fn check_outputs(outputs: &[PathBuf]) -> Result<(), Failure> {
         check_writable(path).map_err(Failure::bad_input)?;
         if outputs[..index].contains(path) {
             let path = path.display();
-            return Err(Failure::bad_input(format!(
-                "-o \"{path}\" is given twice; leave one out"
-            )));
+            return Err(Failure::bad_input(format!("-o \"{path}\" is given twice; leave one out")));
         }
     }
     Ok(())
 }
 
 fn has_extension(path: &Path, wanted: &str) -> bool {
-    path.extension()
-        .is_some_and(|found| found.eq_ignore_ascii_case(wanted))
+    path.extension().is_some_and(|found| found.eq_ignore_ascii_case(wanted))
 }

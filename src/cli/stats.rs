@@ -98,14 +98,8 @@ fn add_rows(text: &mut String, name: &str, value: &serde_json::Value) {
     use serde_json::Value;
     match value {
         Value::Object(fields) => {
-            let prefix = if name.is_empty() {
-                String::new()
-            } else {
-                format!("{name}.")
-            };
-            fields
-                .iter()
-                .for_each(|(key, value)| add_rows(text, &format!("{prefix}{key}"), value));
+            let prefix = if name.is_empty() { String::new() } else { format!("{name}.") };
+            fields.iter().for_each(|(key, value)| add_rows(text, &format!("{prefix}{key}"), value));
         }
         Value::Array(items) => {
             let items: Vec<&str> = items.iter().filter_map(Value::as_str).collect();

@@ -89,11 +89,7 @@ mod tests {
 
     fn state(samples: u32, seconds: f64, relative_error: f64) -> State {
         let elapsed = Duration::from_secs_f64(seconds);
-        State {
-            samples,
-            elapsed,
-            relative_error,
-        }
+        State { samples, elapsed, relative_error }
     }
 
     fn stop(goal: Goal, max_samples: u32) -> Stop {
