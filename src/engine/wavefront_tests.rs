@@ -17,11 +17,13 @@ fn overflow(scene: &str, schedule: Schedule, stage: Stage, limit: &str) -> Optio
     let adapter = std::env::var("QTRACER_TEST_ADAPTER").ok();
     let gpu = Gpu::open(adapter.as_deref()).expect("GPU tests need an adapter: run tests/run");
     let options = RenderOptions { schedule: Some(schedule), ..Default::default() };
-    let mut engine = WavefrontEngine::new(gpu, &compiled, uniforms, key, &options).expect("the engine starts");
+    let mut engine =
+        WavefrontEngine::new(gpu, &compiled, uniforms, key, &options).expect("the engine starts");
 
     let (from, to) = ("slot >= uniforms.capacity", format!("slot >= {limit}"));
     assert!(MODULES.iter().any(|(_, text)| text.contains(from)));
-    let modules: Vec<(&str, String)> = MODULES.iter().map(|(name, text)| (*name, text.replace(from, &to))).collect();
+    let modules: Vec<(&str, String)> =
+        MODULES.iter().map(|(name, text)| (*name, text.replace(from, &to))).collect();
     let modules: Vec<(&str, &str)> = modules.iter().map(|(name, text)| (*name, text.as_str())).collect();
     let wgsl = link_modules(&modules, stage, &key, schedule).expect("the sabotaged kernel links");
     let kernel = engine.gpu.gpu.kernel(&stage.name(), &wgsl).expect("the sabotaged kernel compiles");
@@ -47,6 +49,10 @@ fn a_queue_that_runs_over_is_an_error_that_names_it() {
     for (scene, schedule, stage, queue) in cases {
         let message = overflow(scene, schedule, stage, "20u").unwrap_or_default();
         assert!(message.contains("queue overflow") && message.contains(queue), "{stage:?}: \"{message}\"");
-        assert_eq!(overflow(scene, schedule, stage, "uniforms.capacity"), None, "{stage:?} is right as it is");
+        assert_eq!(
+            overflow(scene, schedule, stage, "uniforms.capacity"),
+            None,
+            "{stage:?} is right as it is"
+        );
     }
 }

@@ -14,7 +14,8 @@ fn reference(name: &str) -> Image {
 
 fn compare(image: &Image, reference: &Image) -> Comparison {
     let z_test = ZTestOptions { alpha: 1e-3, ..Default::default() };
-    Comparison::new(&image.view(), &reference.view(), &ComparisonOptions { z_test, ..Default::default() }).unwrap()
+    Comparison::new(&image.view(), &reference.view(), &ComparisonOptions { z_test, ..Default::default() })
+        .unwrap()
 }
 
 /// Errors as large as the reference says that a render of `spp` samples has, or as the render itself says if that is
@@ -64,9 +65,10 @@ fn bansal_room_5_agrees_with_mitsuba() {
     agrees_with_mitsuba("bansal-room-5", "seed5", Engine::Cpu, 512, 24);
 }
 
+/// The light is in the other room: the noisiest of the five, and so the most samples.
 #[test]
 fn door_ajar_agrees_with_mitsuba() {
-    agrees_with_mitsuba("door-ajar", "door", Engine::Cpu, 1024, 25);
+    agrees_with_mitsuba("door-ajar", "door", Engine::Cpu, 3072, 27);
 }
 
 /// All light of the caustic is found by chance, so its noise has a long tail.
