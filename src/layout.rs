@@ -29,6 +29,27 @@ pub struct Field {
     pub offset: usize,
 }
 
+impl Field {
+    /// WGSL for the words of `value`, which has this field's type.
+    fn words_of(&self, value: &str) -> String {
+        match self.wgsl_type {
+            "u32" => value.to_string(),
+            "vec3<f32>" => format!("bitcast<vec3<u32>>({value})"),
+            _ => format!("bitcast<u32>({value})"),
+        }
+    }
+
+    /// WGSL for this field out of its row. Words travel as integers, which no hardware rounds or flushes.
+    fn unpacked(&self) -> String {
+        let (row, lane) = (self.offset / 16, ["x", "y", "z", "w"][self.offset % 16 / 4]);
+        match self.wgsl_type {
+            "u32" => format!("row{row}.{lane}"),
+            "vec3<f32>" => format!("bitcast<vec3<f32>>(row{row}.xyz)"),
+            _ => format!("bitcast<f32>(row{row}.{lane})"),
+        }
+    }
+}
+
 /// A struct that lies in GPU buffers.
 pub trait GpuStruct: bytemuck::Pod {
     const NAME: &'static str;
@@ -39,6 +60,28 @@ pub trait GpuStruct: bytemuck::Pod {
         let fields: String =
             Self::FIELDS.iter().map(|f| format!("    {}: {},\n", f.name, f.wgsl_type)).collect();
         format!("struct {} {{\n{fields}}}\n", Self::NAME)
+    }
+
+    /// Functions between the struct and rows of four words, for structs that consist of whole rows. Queues hold each
+    /// row in a plane of its own, so that a workgroup's accesses are contiguous: as an array of structs, every 4-byte
+    /// store touches a sector of its own, which made the fused schedule 2.6 times slower on an H100.
+    fn wgsl_rows() -> String {
+        let name = Self::NAME;
+        let rows: Vec<Vec<&Field>> = (0..size_of::<Self>() / 16)
+            .map(|row| Self::FIELDS.iter().filter(|f| f.offset / 16 == row).collect())
+            .collect();
+        let mut text = String::new();
+        for (i, row) in rows.iter().enumerate() {
+            let words: Vec<String> = row.iter().map(|f| f.words_of(&format!("item.{}", f.name))).collect();
+            let words = words.join(", ");
+            text += &format!(
+                "fn {name}_row{i}(item: {name}) -> vec4<u32> {{\n    return vec4<u32>({words});\n}}\n"
+            );
+        }
+        let parameters: Vec<String> = (0..rows.len()).map(|i| format!("row{i}: vec4<u32>")).collect();
+        let fields: Vec<String> = Self::FIELDS.iter().map(Field::unpacked).collect();
+        let (parameters, fields) = (parameters.join(", "), fields.join(", "));
+        text + &format!("fn {name}_from_rows({parameters}) -> {name} {{\n    return {name}({fields});\n}}\n")
     }
 }
 

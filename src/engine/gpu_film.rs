@@ -95,9 +95,11 @@ impl GpuFilm {
             ("materials", bytemuck::cast_slice(&scene.materials)),
             ("lights", bytemuck::cast_slice(&scene.lights)),
         ];
+        let small = self.key.small_scene.is_some();
+        let usage = if small { BufferUsages::UNIFORM } else { BufferUsages::STORAGE };
         for (name, data) in arrays {
             if self.is_bound(name) {
-                self.buffers.upload(&self.gpu, name, data, BufferUsages::STORAGE)?;
+                self.buffers.upload(&self.gpu, name, data, usage)?;
             }
         }
         let size = size_of::<Uniforms>() as u64;
@@ -179,7 +181,12 @@ impl GpuFilm {
     }
 
     /// Sums the batch's radiance per pixel and block, and adds the sums to the host's film.
-    pub fn resolve(&mut self, batch: &Batch, bind: &wgpu::BindGroup, film: &mut Film) -> Result<(), RenderError> {
+    pub fn resolve(
+        &mut self,
+        batch: &Batch,
+        bind: &wgpu::BindGroup,
+        film: &mut Film,
+    ) -> Result<(), RenderError> {
         let items = batch.pixel_count * batch.blocks();
         let (bytes, _) = self.submit(Some("block_sums"), |this, pass| {
             let kernel = &this.kernels[&Stage::Resolve];

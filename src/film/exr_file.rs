@@ -1,6 +1,6 @@
 //! OpenEXR: linear f32, lossless (ZIP, 16 rows a block), one part.
-//! Channels: R G B; stderr.R/G/B; samples; albedo.R/G/B; normal.X/Y/Z; depth.Z. Metadata: text attributes
-//! `qtracer.KEY`, and `qtracer` with the keys in order.
+//! Channels: R G B; stderr.R/G/B; samples; albedo.R/G/B; normal.X/Y/Z; depth.Z. Metadata: the text attribute `qtracer`,
+//! JSON `[["scene","cornell-box"],["seed","0"],…]`.
 
 use std::collections::HashMap;
 use std::io::{Cursor, Seek, Write};
@@ -13,31 +13,21 @@ use exr::prelude::{
 use super::write::EncodeError;
 use super::{Features, Image, Metadata};
 
-const PREFIX: &str = "qtracer.";
-const ORDER: &str = "qtracer";
+/// Holds our metadata.
+const ATTRIBUTE: &str = "qtracer";
 
 type Channels = AnyChannels<FlatSamples>;
 
 pub(super) fn encode(out: &mut (impl Write + Seek), image: &Image) -> Result<(), EncodeError> {
-    let attributes = LayerAttributes {
-        other: to_attributes(&image.metadata),
-        ..LayerAttributes::default()
-    };
+    let attributes = LayerAttributes { other: to_attributes(&image.metadata), ..LayerAttributes::default() };
     let encoding = Encoding {
         compression: Compression::ZIP16,
         blocks: Blocks::ScanLines,
         line_order: LineOrder::Increasing,
     };
     let size = (image.width as usize, image.height as usize);
-    let layer = Layer::new(
-        size,
-        attributes,
-        encoding,
-        AnyChannels::sort(to_channels(image)),
-    );
-    let written = exr::prelude::Image::from_layer(layer)
-        .write()
-        .to_buffered(out);
+    let layer = Layer::new(size, attributes, encoding, AnyChannels::sort(to_channels(image)));
+    let written = exr::prelude::Image::from_layer(layer).write().to_buffered(out);
     written.map_err(|error| match error {
         exr::error::Error::Io(error) => EncodeError::Io(error),
         other => EncodeError::Format(other.to_string()),
@@ -46,8 +36,7 @@ pub(super) fn encode(out: &mut (impl Write + Seek), image: &Image) -> Result<(),
 
 fn to_channels(image: &Image) -> SmallVec<[AnyChannel<FlatSamples>; 4]> {
     let mut list = SmallVec::new();
-    let mut add =
-        |name: &str, values: Vec<f32>| list.push(AnyChannel::new(name, FlatSamples::F32(values)));
+    let mut add = |name: &str, values: Vec<f32>| list.push(AnyChannel::new(name, FlatSamples::F32(values)));
     let mut add_three = |names: [&str; 3], values: &[[f32; 3]]| {
         (0..3).for_each(|i| add(names[i], values.iter().map(|v| v[i]).collect()));
     };
@@ -71,22 +60,18 @@ fn text(value: &str) -> Text {
     Text::from_slice_unchecked(value.as_bytes())
 }
 
+/// One attribute for all: the crate writes several in random order, and equal images should be equal bytes.
 fn to_attributes(metadata: &Metadata) -> HashMap<Text, AttributeValue> {
-    let entry = |(key, value): (&str, &str)| {
-        (
-            text(&format!("{PREFIX}{key}")),
-            AttributeValue::Text(text(value)),
-        )
-    };
-    let mut attributes: HashMap<_, _> = metadata.iter().map(entry).collect();
-    if !metadata.is_empty() {
-        let keys: Vec<&str> = metadata.iter().map(|(key, _)| key).collect();
-        attributes.insert(text(ORDER), AttributeValue::Text(text(&keys.join("\n"))));
+    let pairs: Vec<(&str, &str)> = metadata.iter().collect();
+    match serde_json::to_string(&pairs) {
+        Ok(json) if !pairs.is_empty() => {
+            HashMap::from([(text(ATTRIBUTE), AttributeValue::Text(text(&json)))])
+        }
+        _ => HashMap::new(),
     }
-    attributes
 }
 
-/// Ours in their order, without the prefix; then those of other programs by name.
+/// Ours in their order, then those of other programs by name.
 fn to_metadata<'a>(attributes: impl Iterator<Item = (&'a Text, &'a AttributeValue)>) -> Metadata {
     let string = |text: &Text| String::from_utf8_lossy(text.as_slice()).into_owned();
     let mut texts: Vec<(String, String)> = attributes
@@ -96,22 +81,14 @@ fn to_metadata<'a>(attributes: impl Iterator<Item = (&'a Text, &'a AttributeValu
         })
         .collect();
     texts.sort();
-    let order = texts
-        .iter()
-        .position(|(key, _)| key == ORDER)
-        .map(|at| texts.remove(at).1)
-        .unwrap_or_default();
-    let rank = |key: &str| {
-        order
-            .lines()
-            .position(|k| key.strip_prefix(PREFIX) == Some(k))
-            .unwrap_or(usize::MAX)
+    let ours = |(key, value): &(String, String)| match key == ATTRIBUTE {
+        true => serde_json::from_str::<Vec<(String, String)>>(value).ok(),
+        false => None,
     };
-    texts.sort_by_key(|(key, _)| rank(key));
+    let pairs = texts.iter().filter_map(ours).flatten();
+    let others = texts.iter().filter(|text| ours(text).is_none()).cloned();
     let mut metadata = Metadata::new();
-    texts
-        .iter()
-        .for_each(|(key, value)| metadata.set(key.strip_prefix(PREFIX).unwrap_or(key), value));
+    pairs.chain(others).for_each(|(key, value)| metadata.set(&key, value));
     metadata
 }
 
@@ -150,25 +127,14 @@ pub(super) fn decode(
         .all_layers()
         .all_attributes();
     let file = read.non_parallel().from_buffered(Cursor::new(bytes))?;
-    let coloured = file
-        .layer_data
-        .iter()
-        .find_map(|layer| Some((layer, colour_prefix(&layer.channel_data)?)));
+    let coloured =
+        file.layer_data.iter().find_map(|layer| Some((layer, colour_prefix(&layer.channel_data)?)));
     let Some((layer, prefix)) = coloured else {
-        let names = file
-            .layer_data
-            .iter()
-            .flat_map(|layer| &layer.channel_data.list)
-            .map(|c| c.name.to_string());
-        return Err(DecodeError::NoColour(
-            names.take(20).collect::<Vec<_>>().join(" "),
-        ));
+        let names =
+            file.layer_data.iter().flat_map(|layer| &layer.channel_data.list).map(|c| c.name.to_string());
+        return Err(DecodeError::NoColour(names.take(20).collect::<Vec<_>>().join(" ")));
     };
-    let attributes = file
-        .attributes
-        .other
-        .iter()
-        .chain(layer.attributes.other.iter());
+    let attributes = file.attributes.other.iter().chain(layer.attributes.other.iter());
     let mut image = from_channels(&layer.channel_data, &prefix, layer.size.0, layer.size.1)
         .ok_or_else(|| DecodeError::Damaged("its channels differ in size".to_string()))?;
     image.metadata = to_metadata(attributes);
@@ -179,56 +145,29 @@ pub(super) fn decode(
 fn colour_prefix(channels: &Channels) -> Option<String> {
     let has = |name: &str| channels.list.iter().any(|channel| channel.name.eq(name));
     let complete = |prefix: &&str| ["R", "G", "B"].iter().all(|c| has(&format!("{prefix}{c}")));
-    let names: Vec<String> = channels
-        .list
-        .iter()
-        .map(|channel| channel.name.to_string())
-        .collect();
-    let layers = names
-        .iter()
-        .filter_map(|name| name.strip_suffix('R'))
-        .filter(|prefix| prefix.ends_with('.'));
-    std::iter::once("")
-        .chain(layers)
-        .find(complete)
-        .map(str::to_string)
+    let names: Vec<String> = channels.list.iter().map(|channel| channel.name.to_string()).collect();
+    let layers =
+        names.iter().filter_map(|name| name.strip_suffix('R')).filter(|prefix| prefix.ends_with('.'));
+    std::iter::once("").chain(layers).find(complete).map(str::to_string)
 }
 
 fn from_channels(channels: &Channels, prefix: &str, width: usize, height: usize) -> Option<Image> {
     let one = |name: &str| -> Option<Vec<f32>> {
         let channel = channels.list.iter().find(|channel| channel.name.eq(name))?;
-        let plain = channel.sampling.0 == 1
-            && channel.sampling.1 == 1
-            && channel.sample_data.len() == width * height;
+        let plain =
+            channel.sampling.0 == 1 && channel.sampling.1 == 1 && channel.sample_data.len() == width * height;
         plain.then(|| channel.sample_data.values_as_f32().collect())
     };
     let three = |prefix: &str, names: [&str; 3]| -> Option<Vec<[f32; 3]>> {
         let [x, y, z] = names.map(|name| one(&format!("{prefix}{name}")));
-        Some(
-            x?.into_iter()
-                .zip(y?)
-                .zip(z?)
-                .map(|((x, y), z)| [x, y, z])
-                .collect(),
-        )
+        Some(x?.into_iter().zip(y?).zip(z?).map(|((x, y), z)| [x, y, z]).collect())
     };
     let colours = ["R", "G", "B"];
     let features = || {
-        let (albedo, normal) = (
-            three("albedo.", colours)?,
-            three("normal.", ["X", "Y", "Z"])?,
-        );
-        Some(Features {
-            albedo,
-            normal,
-            depth: one("depth.Z")?,
-        })
+        let (albedo, normal) = (three("albedo.", colours)?, three("normal.", ["X", "Y", "Z"])?);
+        Some(Features { albedo, normal, depth: one("depth.Z")? })
     };
-    let mut image = Image::new(
-        width.try_into().ok()?,
-        height.try_into().ok()?,
-        three(prefix, colours)?,
-    );
+    let mut image = Image::new(width.try_into().ok()?, height.try_into().ok()?, three(prefix, colours)?);
     image.standard_error = three("stderr.", colours);
     image.samples = one("samples");
     image.features = features();

@@ -15,8 +15,8 @@ pub struct Kernel {
 /// Parses and reflects one linked kernel: its entry point and its bindings.
 pub fn reflect(name: &str, wgsl: &str) -> Result<(String, Vec<(u32, String)>), GpuError> {
     let invalid = |reason: String| GpuError::Kernel { kernel: name.to_string(), reason };
-    let module = naga::front::wgsl::parse_str(wgsl)
-        .map_err(|e| invalid(e.emit_to_string_with_path(wgsl, name)))?;
+    let module =
+        naga::front::wgsl::parse_str(wgsl).map_err(|e| invalid(e.emit_to_string_with_path(wgsl, name)))?;
     let entry = module.entry_points.first().ok_or_else(|| invalid("has no entry point".into()))?;
     let mut bindings: Vec<(u32, String)> = module
         .global_variables

@@ -64,8 +64,10 @@ fn item_declarations() -> String {
         Material::wgsl(),
         Light::wgsl(),
         RayItem::wgsl(),
+        RayItem::wgsl_rows(),
         HitItem::wgsl(),
         ShadowItem::wgsl(),
+        ShadowItem::wgsl_rows(),
         BlockSum::wgsl(),
     ]
     .join("\n")

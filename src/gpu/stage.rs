@@ -192,6 +192,10 @@ impl Stage {
         define("ARGUMENT_INTERSECT", Argument::Intersect as u32);
         define("ARGUMENT_SHADOW", Argument::Shadow as u32);
         define("FIRST_HIT_ARGUMENT", Argument::FirstHit as u32);
+        let lengths = scene.small_scene.unwrap_or_default();
+        for (name, length) in ["SPHERES", "QUADS", "MATERIALS", "LIGHTS"].iter().zip(lengths) {
+            define(name, length);
+        }
         define("HIT_QUEUES", scene.hit_queues());
         for (kind, name) in KIND_NAMES.iter().enumerate() {
             define(&format!("QUEUE_{}", name.to_uppercase()), scene.hit_queue(kind as u32));

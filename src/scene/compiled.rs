@@ -94,6 +94,9 @@ gpu_struct! {
         /// Stay on this row below, go to alias_index from here on.
         threshold: f32,
         alias_index: u32,
+        _pad0: u32,
+        _pad1: u32,
+        _pad2: u32,
     }
 }
 

@@ -50,7 +50,10 @@ impl Harness {
         let mut buffers = Buffers::default();
         buffers.upload(&self.gpu, "uniforms", bytemuck::bytes_of(&uniforms), BufferUsages::UNIFORM).unwrap();
         for (name, data) in contents {
-            let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC;
+            // Arrays of small scenes are uniform buffers.
+            let scene = matches!(*name, "spheres" | "quads");
+            let uniform = if scene { BufferUsages::UNIFORM } else { BufferUsages::empty() };
+            let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC | uniform;
             buffers.upload(&self.gpu, name, data, usage).unwrap();
         }
         let bind = self.kernel.bind(&self.gpu, &buffers, &[]);
@@ -92,30 +95,62 @@ fn marked_ray(i: u32, path: u32) -> RayItem {
     }
 }
 
+/// Words past the end of a queue that no kernel may touch.
+const TAIL: usize = 64;
+
+/// A queue of rays as it lies in a buffer: a plane of `capacity` slots for each row of four words, then a tail. Slots
+/// without a ray are untouched.
+fn to_planes(rays: &[RayItem], first: usize, capacity: u32) -> Vec<u32> {
+    let mut planes = vec![UNTOUCHED; 12 * capacity as usize + TAIL];
+    for (i, ray) in rays.iter().enumerate() {
+        let words: &[u32] = bytemuck::cast_slice(std::slice::from_ref(ray));
+        for row in 0..3 {
+            let at = 4 * (row * capacity as usize + first + i);
+            planes[at..at + 4].copy_from_slice(&words[4 * row..4 * row + 4]);
+        }
+    }
+    planes
+}
+
+/// The rays of a queue; untouched slots give [`untouched_ray`].
+fn from_planes(planes: &[u32], capacity: u32) -> Vec<RayItem> {
+    let ray = |slot: usize| {
+        let row = |row: usize| &planes[4 * (row * capacity as usize + slot)..][..4];
+        bytemuck::pod_read_unaligned(bytemuck::cast_slice(&[row(0), row(1), row(2)].concat()))
+    };
+    (0..capacity as usize).map(ray).collect()
+}
+
 fn untouched_ray() -> RayItem {
-    RayItem { path: UNTOUCHED, ..RayItem::zeroed() }
+    bytemuck::cast([UNTOUCHED; 12])
+}
+
+fn is_untouched(ray: &RayItem) -> bool {
+    bytemuck::bytes_of(ray) == bytemuck::bytes_of(&untouched_ray())
 }
 
 /// Compacts the rays that are marked live behind `already` others. The counters and the queue afterwards.
 fn compact(harness: &Harness, live: &[bool], already: u32, capacity: u32) -> (Vec<u32>, Vec<RayItem>) {
     let rays: Vec<RayItem> =
         live.iter().zip(0..).map(|(&live, i)| marked_ray(i, if live { i } else { NONE })).collect();
-    // A binding holds one element at least.
-    let rays = if rays.is_empty() { vec![untouched_ray()] } else { rays };
-    let queue = vec![untouched_ray(); live.len() + already as usize + 8];
     let counters = harness.counters(&[(Counter::Live, live.len() as u32), (Counter::Survivors, already)]);
     let read = harness.run(
         Uniforms { capacity, ..Uniforms::zeroed() },
         &[
             ("counters", bytemuck::cast_slice(&counters)),
-            ("rays_in", bytemuck::cast_slice(&rays)),
-            ("rays_out", bytemuck::cast_slice(&queue)),
+            ("rays_in", bytemuck::cast_slice(&to_planes(&rays, 0, capacity))),
+            ("rays_out", bytemuck::cast_slice(&to_planes(&[], 0, capacity))),
         ],
         // More than the rays need: invocations past the end must do nothing.
         live.len().div_ceil(WORKGROUP as usize) as u32 + 1,
         &["counters", "rays_out"],
     );
-    (words(&read[0]), bytemuck::pod_collect_to_vec(&read[1]))
+    let planes = words(&read[1]);
+    assert!(
+        planes[12 * capacity as usize..].iter().all(|w| *w == UNTOUCHED),
+        "wrote past the end of the queue"
+    );
+    (words(&read[0]), from_planes(&planes, capacity))
 }
 
 /// What is wrong with a compaction, if anything.
@@ -138,7 +173,7 @@ fn compaction_fault(live: &[bool], already: u32, counters: &[u32], queue: &[RayI
         return Some(format!("{ray:?} was changed"));
     }
     let outside = queue[..already as usize].iter().chain(&queue[end..]);
-    outside.into_iter().any(|ray| *ray != untouched_ray()).then(|| "wrote outside its slots".to_string())
+    outside.into_iter().any(|ray| !is_untouched(ray)).then(|| "wrote outside its slots".to_string())
 }
 
 #[test]
@@ -177,7 +212,8 @@ fn a_faulty_compaction_is_found() {
     let live: Vec<bool> = (0..600).map(|i| i % 2 == 0).collect();
     let (counters, queue) = compact(&harness, &live, 5, 4096);
     assert_eq!(compaction_fault(&live, 5, &counters, &queue), None);
-    let faults: [&dyn Fn(&mut Vec<u32>, &mut Vec<RayItem>); 5] = [
+    type Fault<'a> = &'a dyn Fn(&mut [u32], &mut [RayItem]);
+    let faults: [Fault; 5] = [
         &|counters, _| counters[Counter::Survivors as usize] -= 1,
         &|counters, _| counters[Counter::Overflow as usize] = 2,
         &|_, queue| queue[7] = queue[8],
@@ -206,9 +242,9 @@ fn a_push_past_capacity_sets_the_overflow_bit_and_writes_nothing_beyond() {
         let (counters, queue) = compact(&harness, &vec![true; live], already, capacity);
         let bit = u32::from(overflows) << Counter::Survivors as u32;
         assert_eq!(counters[Counter::Overflow as usize], bit, "{live} behind {already} in {capacity}");
-        let written = queue.iter().filter(|ray| **ray != untouched_ray()).count() as u32;
+        let written = queue.iter().filter(|ray| !is_untouched(ray)).count() as u32;
         assert_eq!(written, (live as u32).min(capacity - already));
-        assert!(queue[capacity as usize..].iter().all(|ray| *ray == untouched_ray()));
+        assert!(queue[..already as usize].iter().all(is_untouched), "wrote over what was there already");
     }
 }
 
@@ -233,11 +269,12 @@ fn intersection_pushes_every_ray_to_exactly_one_queue() {
         let capacity = 3000;
         let queues = harness.key.hit_queues() as usize;
         let uniforms = Uniforms { capacity, ..compiled.uniforms(&camera, 1, 1, 0) };
-        let hits = vec![HitItem { slot: UNTOUCHED, ..HitItem::zeroed() }; queues * capacity as usize];
+        let hits = vec![UNTOUCHED; 3 * queues * capacity as usize];
+        let rays_in = to_planes(&rays, 0, capacity);
         let counters = harness.counters(&[(Counter::Live, rays.len() as u32)]);
         let mut contents: Vec<(&str, &[u8])> = vec![
             ("counters", bytemuck::cast_slice(&counters)),
-            ("rays_in", bytemuck::cast_slice(&rays)),
+            ("rays_in", bytemuck::cast_slice(&rays_in)),
             ("hits", bytemuck::cast_slice(&hits)),
         ];
         if !compiled.spheres.is_empty() {
@@ -247,14 +284,18 @@ fn intersection_pushes_every_ray_to_exactly_one_queue() {
             contents.push(("quads", bytemuck::cast_slice(&compiled.quads)));
         }
         let read = harness.run(uniforms, &contents, 3000u32.div_ceil(WORKGROUP), &["counters", "hits"]);
-        let (counters, hits): (Vec<u32>, Vec<HitItem>) =
-            (words(&read[0]), bytemuck::pod_collect_to_vec(&read[1]));
+        let (counters, hits) = (words(&read[0]), words(&read[1]));
+        // A plane of all queues for each of the three words.
+        let hit = |queue: usize, i: usize| {
+            let word = |plane: usize| hits[(queue + plane * queues) * capacity as usize + i];
+            HitItem { slot: word(0), shape: word(1), t: f32::from_bits(word(2)) }
+        };
 
         assert_eq!(counters[Counter::Overflow as usize], 0);
         let (mut seen, mut differing) = (BTreeSet::new(), 0);
         for queue in 0..queues {
             let length = counters[Counter::FirstHit as usize + queue] as usize;
-            for (i, item) in hits[queue * capacity as usize..][..capacity as usize].iter().enumerate() {
+            for (i, item) in (0..capacity as usize).map(|i| hit(queue, i)).enumerate() {
                 assert_eq!(i < length, item.slot != UNTOUCHED, "{name}: queue {queue} is not dense");
                 if i >= length {
                     continue;

@@ -1,0 +1,93 @@
+//! `check`: is this a scene, and what is in it?
+
+use super::console;
+use super::failure::Failure;
+use clap::Args;
+use qtracer::gpu::key::{KIND_NAMES, KernelKey};
+use qtracer::scene::compiled::CompiledScene;
+use qtracer::scene::{Geometry, MaterialKind};
+use qtracer::{Sampler, Scene};
+use std::path::{Path, PathBuf};
+
+#[derive(Args)]
+#[command(after_help = "\
+Examples:
+  qtracer check scenes/cornell-box.toml
+      What is in it, or what is wrong with it and where.
+  qtracer check scenes/*.toml > /dev/null && echo all good
+      Exits 2 if any scene is bad; every problem is named on stderr.
+  qtracer check room.json
+      JSON has the same keys as TOML.")]
+pub struct CheckArgs {
+    /// Scene files (.toml or .json)
+    #[arg(required = true, value_name = "SCENE")]
+    scenes: Vec<PathBuf>,
+}
+
+pub fn run(args: &CheckArgs) -> Result<(), Failure> {
+    let mut bad = 0;
+    for path in &args.scenes {
+        match Scene::load(path) {
+            Ok(scene) => {
+                console::data(describe(path, &scene))?;
+                let file = path.display();
+                let tell = |warning| console::warning(format!("{file}: {warning}"));
+                scene.warnings().iter().for_each(tell);
+            }
+            Err(error) => {
+                console::error(error);
+                bad += 1;
+            }
+        }
+    }
+    match (bad, args.scenes.len()) {
+        (0, _) => Ok(()),
+        (bad, all) => Err(Failure::bad_input(format!("{bad} of {all} scenes can't be used"))),
+    }
+}
+
+fn describe(path: &Path, scene: &Scene) -> String {
+    let compiled = CompiledScene::new(scene);
+    let defaults = &scene.defaults;
+    let key = KernelKey::new(&compiled, defaults.direct_light, defaults.roulette, Sampler::default());
+    let on_off = |on| if on { "on" } else { "off" };
+    let is_sphere = |geometry: &Geometry| matches!(geometry, Geometry::Sphere { .. });
+    let shapes = scene.shapes.len();
+    let spheres = scene.shapes.iter().filter(|s| is_sphere(&s.geometry)).count();
+    let environment = match scene.environment.max_element() > 0.0 {
+        true => " and the environment",
+        false => "",
+    };
+    [
+        format!("{}", path.display()),
+        format!("  name       {}", scene.name),
+        format!("  size       {}x{}", scene.camera.width, scene.camera.height),
+        format!(
+            "  render     {} samples/pixel, {} levels, direct light {}, roulette {}",
+            defaults.spp,
+            defaults.max_bounces,
+            on_off(defaults.direct_light),
+            on_off(defaults.roulette)
+        ),
+        format!("  shapes     {shapes}: {spheres} spheres, {} quads", shapes - spheres),
+        format!("  materials  {}: {}", scene.materials.len(), kinds(scene)),
+        format!("  lights     {}{environment}", compiled.lights.len()),
+        format!("  kernels    {key}"),
+    ]
+    .join("\n")
+}
+
+/// `3 diffuse, 1 mirror`.
+fn kinds(scene: &Scene) -> String {
+    let number = |kind: &MaterialKind| match kind {
+        MaterialKind::Diffuse { .. } => 0,
+        MaterialKind::Mirror { .. } => 1,
+        MaterialKind::Glossy { .. } => 2,
+        MaterialKind::Dielectric { .. } => 3,
+    };
+    let mut counts = [0; KIND_NAMES.len()];
+    scene.materials.iter().for_each(|m| counts[number(&m.kind)] += 1);
+    let present = counts.iter().zip(KIND_NAMES).filter(|(count, _)| **count > 0);
+    let words: Vec<String> = present.map(|(count, name)| format!("{count} {name}")).collect();
+    words.join(", ")
+}

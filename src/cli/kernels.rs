@@ -1,0 +1,42 @@
+//! `--dump-kernels`: the linked WGSL of a scene's kernels as files, to be read. No GPU takes part.
+
+use super::failure::Failure;
+use qtracer::gpu::key::KernelKey;
+use qtracer::gpu::link::link;
+use qtracer::gpu::stage::Stage;
+use qtracer::scene::compiled::CompiledScene;
+use qtracer::{EngineChoice, RenderOptions, Scene};
+use std::fs;
+use std::path::Path;
+
+/// Writes one file per stage of the engine asked for (the wavefront engine's where that has none); says what it wrote.
+pub fn dump(folder: &Path, scene: &Scene, options: &RenderOptions) -> Result<String, Failure> {
+    let key = KernelKey::new(
+        &CompiledScene::new(scene),
+        options.direct_light.unwrap_or(scene.defaults.direct_light),
+        options.roulette.unwrap_or(scene.defaults.roulette),
+        options.sampler,
+    );
+    let schedule = options.schedule.unwrap_or_default();
+    let (stages, of) = match options.engine {
+        EngineChoice::Megakernel => (Stage::megakernel(), "the megakernel engine"),
+        EngineChoice::Wavefront | EngineChoice::Auto => {
+            (Stage::wavefront(&key, schedule), "the wavefront engine")
+        }
+        EngineChoice::Cpu => {
+            (Stage::wavefront(&key, schedule), "the wavefront engine (the CPU engine has none)")
+        }
+    };
+    let refuse = |path: &Path, error: std::io::Error| {
+        let path = path.display();
+        Failure::bad_input(format!("--dump-kernels: cannot write \"{path}\": {error}; choose another folder"))
+    };
+    fs::create_dir_all(folder).map_err(|e| refuse(folder, e))?;
+    for &stage in &stages {
+        let path = folder.join(format!("{}.wgsl", stage.name()));
+        let text = link(stage, &key, schedule).map_err(Failure::failed)?;
+        fs::write(&path, text).map_err(|e| refuse(&path, e))?;
+    }
+    let (count, folder) = (stages.len(), folder.display());
+    Ok(format!("wrote {count} kernels of {of} to {folder}"))
+}

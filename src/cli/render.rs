@@ -1,0 +1,268 @@
+//! `render`: trace until done, interrupted or failed; whatever was finished is written.
+
+use super::console;
+use super::failure::Failure;
+use super::kernels;
+use super::progress::Progress;
+use super::render_args::{Job, RenderArgs};
+use super::signals;
+use super::stats::{self, Report};
+use super::stop::{Goal, State};
+use qtracer::film::{WriteOptions, write_image};
+use qtracer::{CancelToken, EngineKind, Image, RenderError, Renderer};
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+pub fn run(args: RenderArgs) -> Result<(), Failure> {
+    let job = args.validate()?;
+    job.scene.warnings().iter().for_each(console::warning);
+    if let Some(folder) = &job.dump_kernels {
+        let written = kernels::dump(folder, &job.scene, &job.options)?;
+        note(&job, written);
+    }
+    if let Some(threads) = job.threads {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+        pool.build_global().map_err(|e| Failure::failed(format!("--threads {threads}: {e}")))?;
+    }
+    let slot = signals::watch();
+    let start = Instant::now();
+    let mut renderer = Renderer::new(&job.scene, job.options.clone()).map_err(|e| Failure::of_start(&e))?;
+    let cancel = slot.get_or_init(|| renderer.cancel_token()).clone();
+    let preparation = start.elapsed();
+    renderer.notices().iter().for_each(|text| note(&job, text));
+    warn_of_idle_options(&job, renderer.engine());
+    let (end, elapsed) = trace(&mut renderer, &job, &cancel);
+    Ending::new(&job, &renderer, end, preparation, elapsed).conclude()
+}
+
+fn note(job: &Job, text: impl std::fmt::Display) {
+    if !job.quiet {
+        console::note(text);
+    }
+}
+
+/// Options that only some engines have.
+fn warn_of_idle_options(job: &Job, engine: EngineKind) {
+    let options = &job.options;
+    let (cpu, wavefront) = (engine == EngineKind::Cpu, engine == EngineKind::Wavefront);
+    let idle = [
+        ("--schedule", options.schedule.is_some() && !wavefront),
+        ("--pool", options.pool.is_some() && !wavefront),
+        ("--adapter", options.adapter.is_some() && cpu),
+    ];
+    for (option, _) in idle.iter().filter(|(_, idle)| *idle) {
+        console::warning(format!("{option} has no effect on the {engine} engine"));
+    }
+}
+
+/// How tracing came to an end.
+enum End {
+    Done,
+    Interrupted,
+    Broken(RenderError),
+}
+
+/// Renders until the goal is reached, someone interrupts or something breaks; tells how long it took.
+fn trace(renderer: &mut Renderer, job: &Job, cancel: &CancelToken) -> (End, Duration) {
+    let progress = Progress::new(renderer.film().pixels().len() as u64, job.quiet);
+    let start = Instant::now();
+    let end = loop {
+        let state = state(renderer, job, start.elapsed());
+        progress.show(&job.stop, &state);
+        match job.stop.next(&state) {
+            0 => break End::Done,
+            samples => match renderer.step(samples) {
+                Err(error) => break End::Broken(error),
+                Ok(_) if cancel.is_cancelled() => break End::Interrupted,
+                Ok(_) => (),
+            },
+        }
+    };
+    progress.finish();
+    (end, start.elapsed())
+}
+
+fn state(renderer: &Renderer, job: &Job, elapsed: Duration) -> State {
+    State {
+        samples: renderer.samples(),
+        elapsed,
+        relative_error: match job.stop.needs_error() {
+            true => renderer.film().relative_error(),
+            false => f64::INFINITY,
+        },
+    }
+}
+
+/// What there is when tracing has ended.
+struct Ending<'a> {
+    job: &'a Job,
+    renderer: &'a Renderer,
+    preparation: Duration,
+    elapsed: Duration,
+    /// Whether all that was asked for is there.
+    complete: bool,
+    /// What went wrong: reasons for exit code 1.
+    problems: Vec<String>,
+}
+
+impl<'a> Ending<'a> {
+    fn new(job: &'a Job, renderer: &'a Renderer, end: End, preparation: Duration, elapsed: Duration) -> Self {
+        // An interrupt during the last step may come too late to matter.
+        let all = renderer.film().samples().0 >= u64::from(job.stop.max_samples);
+        let problem = match end {
+            End::Broken(error) => Some(error.to_string()),
+            End::Interrupted if !all => Some("interrupted".to_string()),
+            _ => None,
+        };
+        Ending {
+            job,
+            renderer,
+            preparation,
+            elapsed,
+            complete: problem.is_none(),
+            problems: problem.into_iter().collect(),
+        }
+    }
+
+    /// Writes what there is and says what it is.
+    fn conclude(mut self) -> Result<(), Failure> {
+        if self.renderer.film().samples().0 == 0 {
+            let problem = "no sample of every pixel was finished, so nothing was written";
+            self.problems.push(problem.to_string());
+            return Err(Failure::failed_all(self.problems));
+        }
+        let written = self.write_outputs();
+        if !self.complete && !written.is_empty() {
+            let problem = format!("the image written has {}", self.samples_so_far());
+            self.problems.push(problem);
+        }
+        self.report(&written);
+        match self.problems.is_empty() {
+            true => Ok(()),
+            false => Err(Failure::failed_all(self.problems)),
+        }
+    }
+
+    /// Writes every output; one that can't be written does not keep the others from being so.
+    fn write_outputs(&mut self) -> Vec<&'a PathBuf> {
+        let options = WriteOptions { exposure: self.job.exposure };
+        let image = self.image();
+        let mut written = Vec::new();
+        for path in &self.job.outputs {
+            match write_image(path, &image, &options) {
+                Ok(()) => written.push(path),
+                Err(error) => self.problems.push(error.to_string()),
+            }
+        }
+        written
+    }
+
+    /// Whoever interrupts wants no further rays: features are for complete renders.
+    fn image(&self) -> Image {
+        match self.job.features && self.complete {
+            true => self.renderer.image_with_features(),
+            false => self.renderer.image(),
+        }
+    }
+
+    /// `12 samples per pixel of 64`; `12 to 13` where an interrupt left some pixels ahead of others.
+    fn samples_so_far(&self) -> String {
+        let (fewest, most) = self.renderer.film().samples();
+        let range = match fewest == most {
+            true => fewest.to_string(),
+            false => format!("{fewest} to {most}"),
+        };
+        match self.job.stop.goal {
+            Goal::Samples => {
+                let wanted = self.job.stop.max_samples;
+                format!("{range} samples per pixel of {wanted}")
+            }
+            _ => format!("{range} samples per pixel"),
+        }
+    }
+
+    /// Figures, to stderr for people and to stdout for programs.
+    fn report(&mut self, written: &[&PathBuf]) {
+        let state = state(self.renderer, self.job, self.elapsed);
+        if self.complete && self.job.stop.fell_short(&state) {
+            console::warning(format!(
+                "stopped at {} samples per pixel before --error was reached; raise --max-spp",
+                state.samples
+            ));
+        }
+        let report = Report::new(self.job, self.renderer, self.complete, self.preparation, self.elapsed);
+        if !self.job.quiet {
+            console::line(report.summary(written));
+        }
+        if let Some(Err(failure)) = self.job.stats.map(|format| stats::print(&report, format)) {
+            self.problems.extend(failure.into_messages());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::stop::Stop;
+    use super::*;
+    use qtracer::film::read_image;
+    use qtracer::gpu::error::GpuError;
+    use qtracer::scene::Material;
+    use qtracer::{RenderOptions, Scene};
+
+    fn job(output: PathBuf) -> Job {
+        let scene = Scene::builder("ball")
+            .camera([0.0, 0.0, 4.0], [0.0; 3], 45.0)
+            .size(4, 3)
+            .environment([1.0; 3])
+            .material("grey", Material::diffuse([0.5; 3]))
+            .sphere([0.0; 3], 1.0, "grey")
+            .build()
+            .unwrap();
+        Job {
+            scene,
+            options: RenderOptions::cpu(),
+            stop: Stop { goal: Goal::Samples, max_samples: 8 },
+            outputs: vec![output],
+            exposure: 0.0,
+            features: true,
+            stats: None,
+            dump_kernels: None,
+            threads: None,
+            quiet: true,
+        }
+    }
+
+    /// Ends a render with a lost device after `samples` samples; gives the messages.
+    fn lose_the_device_after(samples: u32, job: &Job) -> Vec<String> {
+        let mut renderer = Renderer::new(&job.scene, job.options.clone()).unwrap();
+        while renderer.samples() < samples {
+            renderer.step(samples - renderer.samples()).unwrap();
+        }
+        let lost = End::Broken(RenderError::Gpu(GpuError::DeviceLost {
+            adapter: "GPU".into(),
+            reason: "reset".into(),
+        }));
+        let ending = Ending::new(job, &renderer, lost, Duration::ZERO, Duration::ZERO);
+        ending.conclude().unwrap_err().into_messages()
+    }
+
+    #[test]
+    fn a_lost_device_ends_with_the_image_so_far_and_says_so() {
+        let folder = tempfile::tempdir().unwrap();
+        let job = job(folder.path().join("out.exr"));
+        let messages = lose_the_device_after(3, &job);
+        assert!(messages[0].contains("was lost"), "{messages:?}");
+        assert_eq!(messages[1], "the image written has 3 samples per pixel of 8");
+        let image = read_image(&job.outputs[0]).unwrap();
+        assert!(image.samples.unwrap().iter().all(|&count| count == 3.0));
+    }
+
+    #[test]
+    fn a_device_lost_at_once_writes_nothing_and_says_so() {
+        let folder = tempfile::tempdir().unwrap();
+        let job = job(folder.path().join("out.exr"));
+        let messages = lose_the_device_after(0, &job);
+        assert!(messages[1].contains("nothing was written"), "{messages:?}");
+        assert!(!job.outputs[0].exists());
+    }
+}

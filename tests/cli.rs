@@ -1,0 +1,715 @@
+//! The program as its users meet it: what it writes where, what it refuses and how, and its exit codes.
+
+use qtracer::Image;
+use qtracer::film::{WriteOptions, read_image, write_image};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+use std::time::Duration;
+use tempfile::TempDir;
+
+const QTRACER: &str = env!("CARGO_BIN_EXE_qtracer");
+
+/// A ball on a floor under a bright sky: noisy, quick, and nothing but diffuse.
+const BALL: &str = r#"
+name = "ball"
+[camera]
+origin = [0, 1, 5]
+target = [0, 0, 0]
+fov_y_deg = 40
+width = 16
+height = 12
+[environment]
+radiance = [0.5, 0.7, 1.0]
+[render]
+spp = 2
+[materials.clay]
+type = "diffuse"
+color = [0.7, 0.4, 0.3]
+[[shapes]]
+name = "ball"
+type = "sphere"
+center = [0, 0, 0]
+radius = 1
+material = "clay"
+[[shapes]]
+name = "floor"
+type = "quad"
+corner = [-5, -1, 5]
+e1 = [10, 0, 0]
+e2 = [0, 0, -10]
+material = "clay"
+"#;
+
+/// A folder of its own with ball.toml in it, where the program runs.
+struct Place(TempDir);
+
+struct Outcome {
+    code: Option<i32>,
+    stdout: String,
+    stderr: String,
+}
+
+impl From<Output> for Outcome {
+    fn from(output: Output) -> Self {
+        Outcome {
+            code: output.status.code(),
+            stdout: String::from_utf8_lossy(&output.stdout).into_owned(),
+            stderr: String::from_utf8_lossy(&output.stderr).into_owned(),
+        }
+    }
+}
+
+impl Place {
+    fn new() -> Self {
+        let place = Place(TempDir::new().unwrap());
+        place.write("ball.toml", BALL);
+        place
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn write(&self, name: &str, text: impl AsRef<[u8]>) {
+        fs::write(self.path(name), text).unwrap();
+    }
+
+    /// The ball with one piece of its text replaced, as a new file.
+    fn variant(&self, name: &str, from: &str, to: &str) {
+        assert!(BALL.contains(from), "{from}");
+        self.write(name, BALL.replacen(from, to, 1));
+    }
+
+    fn command(&self, args: &[&str]) -> Command {
+        let mut command = Command::new(QTRACER);
+        command.current_dir(self.0.path()).args(args);
+        command
+    }
+
+    fn run(&self, args: &[&str]) -> Outcome {
+        self.command(args).output().unwrap().into()
+    }
+
+    fn succeed(&self, args: &[&str]) -> Outcome {
+        let outcome = self.run(args);
+        assert_eq!(outcome.code, Some(0), "{args:?}: {}", outcome.stderr);
+        outcome
+    }
+
+    /// Runs `render ball.toml --engine cpu` with more arguments.
+    fn render(&self, args: &[&str]) -> Outcome {
+        self.succeed(&[&["render", "ball.toml", "--engine", "cpu"], args].concat())
+    }
+
+    fn image(&self, name: &str) -> Image {
+        read_image(&self.path(name)).unwrap()
+    }
+
+    fn bytes(&self, name: &str) -> Vec<u8> {
+        fs::read(self.path(name)).unwrap()
+    }
+
+    fn files(&self) -> Vec<String> {
+        let entries = fs::read_dir(self.0.path()).unwrap();
+        let names = entries.map(|e| e.unwrap().file_name().to_string_lossy().into_owned());
+        let mut names: Vec<String> = names.collect();
+        names.sort();
+        names
+    }
+
+    /// Exit 2, an error with all these words on stderr, nothing on stdout, no new file.
+    fn refuses(&self, args: &[&str], words: &[&str]) {
+        let before = self.files();
+        let Outcome { code, stdout, stderr } = self.run(args);
+        assert_eq!(code, Some(2), "{args:?}: {stderr}");
+        assert!(stderr.starts_with("error: "), "{args:?}: {stderr}");
+        for word in words {
+            assert!(stderr.contains(word), "{args:?}: no {word:?} in {stderr}");
+        }
+        assert_eq!(stdout, "", "{args:?}");
+        assert_eq!(self.files(), before, "{args:?}");
+    }
+
+    /// The scene is refused, by `check` and by `render`.
+    fn refuses_scene(&self, name: &str, words: &[&str]) {
+        self.refuses(&["check", name], words);
+        self.refuses(&["render", name, "-o", "out.png"], words);
+    }
+}
+
+#[test]
+fn bad_scenes_are_refused_with_the_object_and_the_remedy() {
+    let place = Place::new();
+    let radius = "radius = 1";
+    let clay = "color = [0.7, 0.4, 0.3]";
+    for (from, to, words) in [
+        (radius, "radius = nan", &["ball", "radius"][..]),
+        (radius, "radius = inf", &["ball", "radius"]),
+        (radius, "radius = 0", &["ball", "radius"]),
+        (radius, "radius = -2", &["ball", "radius", "inward"]),
+        (clay, "color = [nan, 0, 0]", &["clay", "color"]),
+        (clay, "colour = [0.7, 0.4, 0.3]", &["clay", "did you mean \"color\"?"]),
+        (clay, "color = [-0.1, 0, 0]", &["clay", "color"]),
+        ("e2 = [0, 0, -10]", "e2 = [20, 0, 0]", &["floor", "parallel"]),
+        ("target = [0, 0, 0]", "target = [0, 2, 5]", &["camera", "up"]),
+        ("target = [0, 0, 0]", "target = [0, 1, 5]", &["camera", "target"]),
+        ("fov_y_deg = 40", "fov_y_deg = 180", &["camera", "fov_y_deg"]),
+        ("material = \"clay\"", "material = \"cley\"", &["did you mean \"clay\"?"]),
+        ("type = \"diffuse\"", "type = \"difuse\"", &["did you mean \"diffuse\"?"]),
+        ("[environment]", "[enviroment]", &["did you mean \"environment\"?"]),
+        ("width = 16", "width = 0", &["0 × 12"]),
+        ("spp = 2", "spp = 0", &["spp"]),
+        ("spp = 2", "spp = 2\nmax_bounces = 65", &["max_bounces", "64"]),
+        ("name = \"ball\"", "name = ", &["bad.toml:2"]),
+    ] {
+        place.variant("bad.toml", from, to);
+        place.refuses_scene("bad.toml", &[&["bad.toml"], words].concat());
+    }
+    let glass = |ior: &str| format!("type = \"dielectric\"\nior = {ior}");
+    for ior in ["0", "-1.5", "nan"] {
+        let text = BALL.replacen(clay, "", 1);
+        place.write("bad.toml", text.replacen("type = \"diffuse\"", &glass(ior), 1));
+        place.refuses_scene("bad.toml", &["clay", "ior"]);
+    }
+    let huge = BALL.replacen("width = 16", "width = 1000000", 1);
+    place.write("bad.toml", huge.replacen("height = 12", "height = 1000000", 1));
+    place.refuses_scene("bad.toml", &["1000000", "56000000000000 bytes"]);
+}
+
+#[test]
+fn files_that_are_no_scenes_are_refused_by_name() {
+    let place = Place::new();
+    place.write("garbage.toml", [0u8, 159, 146, 150, 255, 1, 2, 3]);
+    place.write("empty.toml", "");
+    place.write("half.json", "{\"name\": \"x\", ");
+    place.write("scene.yaml", "name: x");
+    fs::create_dir(place.path("folder.toml")).unwrap();
+    place.refuses_scene("missing.toml", &["missing.toml", "no such file", "check"]);
+    place.refuses_scene("folder.toml", &["folder.toml", "directory"]);
+    place.refuses_scene("garbage.toml", &["garbage.toml", "UTF-8"]);
+    place.refuses_scene("empty.toml", &["empty.toml", "empty"]);
+    place.refuses_scene("half.json", &["half.json"]);
+    place.refuses_scene("scene.yaml", &["scene.yaml", ".toml or .json"]);
+    let outcome = place.run(&["check", "ball.toml", "missing.toml", "empty.toml"]);
+    assert_eq!(outcome.code, Some(2));
+    assert!(outcome.stderr.contains("2 of 3"), "{}", outcome.stderr);
+    assert!(outcome.stdout.contains("ball"), "{}", outcome.stdout);
+}
+
+#[test]
+fn bad_options_are_refused_by_name_with_what_would_do() {
+    let place = Place::new();
+    for (args, words) in [
+        (&["--spp", "0"][..], &["--spp", "at least 1"][..]),
+        (&["--spp", "-3"], &["--spp", "such as 64"]),
+        (&["--spp", "many"], &["--spp", "such as 64"]),
+        (&["--spp", "4294967296"], &["--spp", "at most"]),
+        (&["--time", "0"], &["--time", "90s"]),
+        (&["--time", "-5s"], &["--time", "90s"]),
+        (&["--time", "nan"], &["--time", "90s"]),
+        (&["--time", "5 parsecs"], &["--time", "90s"]),
+        (&["--error", "0"], &["--error", "above 0"]),
+        (&["--error", "nan"], &["--error", "above 0"]),
+        (&["--error", "-0.1"], &["--error", "above 0"]),
+        (&["--spp", "2", "--time", "1s"], &["--spp", "--time", "cannot be used"]),
+        (&["--time", "1s", "--error", "0.1"], &["--time", "--error", "cannot be used"]),
+        (&["--max-spp", "5"], &["--max-spp", "--spp"]),
+        (&["--error", "0.1", "--max-spp", "0"], &["--max-spp", "at least 1"]),
+        (&["--size", "0x10"], &["--size", "0 × 10"]),
+        (&["--size", "10x0"], &["--size", "10 × 0"]),
+        (&["--size", "-1x5"], &["--size", "640x480"]),
+        (&["--size", "640"], &["--size", "640x480"]),
+        (&["--size", "1000000x1000000"], &["--size", "56000000000000 bytes"]),
+        (&["--size", "65536x65536"], &["--size", "bytes", "GiB"]),
+        (&["--seed", "-1"], &["--seed"]),
+        (&["--first-sample", "4294967295"], &["--first-sample", "lower"]),
+        (&["--max-bounces", "0"], &["--max-bounces", "1..=64"]),
+        (&["--max-bounces", "65"], &["--max-bounces", "1..=64"]),
+        (&["--direct-light", "maybe"], &["--direct-light"]),
+        (&["--engine", "warp"], &["--engine", "wavefront", "megakernel"]),
+        (&["--adapter", ""], &["--adapter", "qtracer info"]),
+        (&["--threads", "0"], &["--threads", "1..=1024"]),
+        (&["--pool", "0"], &["--pool"]),
+        (&["--exposure", "inf"], &["--exposure", "-64 to 64"]),
+        (&["--engine", "cpu", "--pool", "7"], &["--pool 7"]),
+        (&["--no-such-option"], &["--no-such-option"]),
+    ] {
+        place.refuses(&[&["render", "ball.toml"], args].concat(), words);
+    }
+    place.refuses(&["rendr", "ball.toml"], &["rendr", "render"]);
+    assert_eq!(place.run(&[]).code, Some(2));
+}
+
+#[test]
+fn outputs_that_cannot_be_written_are_refused_before_rendering() {
+    let place = Place::new();
+    fs::create_dir(place.path("folder.png")).unwrap();
+    let endless = ["--spp", "4000000000", "--engine", "cpu"];
+    let refuses = |output: &str, words: &[&str]| {
+        let args = [&["render", "ball.toml", "-o", output][..], &endless].concat();
+        place.refuses(&args, words);
+    };
+    refuses("nowhere/out.png", &["nowhere", "does not exist", "create it"]);
+    refuses("ball.toml/out.png", &["not a folder"]);
+    refuses("folder.png", &["folder.png", "is a folder"]);
+    refuses("out.tiff", &["out.tiff", ".png", ".exr"]);
+    refuses("out", &["no extension", ".png", ".exr"]);
+    refuses("", &["--output", "a value is required"]);
+    let twice = ["render", "ball.toml", "-o", "a.png", "-o", "a.png"];
+    place.refuses(&twice, &["a.png", "twice"]);
+    place.write("file", "");
+    let dump = ["render", "ball.toml", "--dump-kernels", "file"];
+    place.refuses(&dump, &["--dump-kernels", "file", "another folder"]);
+}
+
+#[test]
+fn odd_scenes_render_with_a_warning() {
+    let place = Place::new();
+    place.variant("dark.toml", "radiance = [0.5, 0.7, 1.0]", "radiance = [0, 0, 0]");
+    place.variant("bright.toml", "color = [0.7, 0.4, 0.3]", "color = [1.5, 0.4, 0.3]");
+    for (scene, words) in [("dark", ["warning:", "black"]), ("bright", ["clay", "energy"])] {
+        let file = format!("{scene}.toml");
+        for args in [&["render", &file, "--engine", "cpu", "-q"][..], &["check", &file]] {
+            let stderr = place.succeed(args).stderr;
+            assert!(words.iter().all(|word| stderr.contains(word)), "{stderr}");
+        }
+        assert!(place.path(&format!("{scene}.png")).is_file());
+    }
+}
+
+#[test]
+fn one_render_fills_several_files_and_says_so_on_stderr_only() {
+    let place = Place::new();
+    let outcome = place.render(&["-o", "out.png", "-o", "out.exr", "--seed", "7"]);
+    assert_eq!(outcome.stdout, "");
+    assert!(outcome.stderr.contains("out.png, out.exr"), "{}", outcome.stderr);
+    let (png, exr) = (place.image("out.png"), place.image("out.exr"));
+    assert_eq!((png.width, png.height, exr.width, exr.height), (16, 12, 16, 12));
+    assert!(exr.standard_error.is_some() && exr.features.is_some());
+    assert!(exr.samples.unwrap().iter().all(|&count| count == 2.0));
+    for (key, value) in [("scene", "ball"), ("seed", "7"), ("samples", "2"), ("engine", "cpu")] {
+        assert_eq!(exr.metadata.get(key), Some(value));
+    }
+    let sky = exr.rgb[0];
+    assert_eq!(sky, [0.5, 0.7, 1.0]);
+    place.render(&["-o", "plain.exr", "--no-features", "--quiet"]);
+    assert!(place.image("plain.exr").features.is_none());
+}
+
+#[test]
+fn the_default_output_is_named_after_the_scene_and_lies_in_the_current_folder() {
+    let place = Place::new();
+    fs::create_dir(place.path("deep")).unwrap();
+    place.write("deep/scene.toml", BALL);
+    let quiet = place.succeed(&["render", "deep/scene.toml", "--engine", "cpu", "--quiet"]);
+    assert_eq!((quiet.stdout.as_str(), quiet.stderr.as_str()), ("", ""));
+    assert_eq!(place.files(), ["ball.toml", "deep", "scene.png"]);
+}
+
+#[test]
+fn equal_seeds_give_equal_bytes_and_others_do_not() {
+    let place = Place::new();
+    for (seed, name) in [("5", "a"), ("5", "b"), ("6", "c")] {
+        let (png, exr) = (format!("{name}.png"), format!("{name}.exr"));
+        place.render(&["--size", "40x50", "--seed", seed, "-o", &png, "-o", &exr]);
+    }
+    for (a, b, c) in [("a.png", "b.png", "c.png"), ("a.exr", "b.exr", "c.exr")] {
+        assert!(place.bytes(a) == place.bytes(b), "{a} and {b} differ");
+        assert_ne!(place.image(a).rgb, place.image(c).rgb);
+    }
+    place.render(&["--size", "40x50", "--seed", "5", "--threads", "1", "-o", "one.exr"]);
+    assert_eq!(place.image("one.exr").rgb, place.image("a.exr").rgb);
+}
+
+#[test]
+fn stats_are_all_that_stdout_holds() {
+    let place = Place::new();
+    let outcome = place.render(&["--size", "20x10", "--spp", "3", "--stats", "json"]);
+    let stats: serde_json::Value = serde_json::from_str(&outcome.stdout).unwrap();
+    assert_eq!(stats["scene"], "ball");
+    assert_eq!((&stats["width"], &stats["height"]), (&20.into(), &10.into()));
+    assert_eq!((&stats["samples"], &stats["paths"]), (&3.into(), &600.into()));
+    assert_eq!((&stats["engine"], &stats["complete"]), (&"cpu".into(), &true.into()));
+    for number in ["wall_seconds", "mpaths_per_second", "relative_error", "seed"] {
+        assert!(stats[number].is_number(), "{number}");
+    }
+    let text = place.render(&["--stats", "text"]).stdout;
+    assert!(text.contains("relative_error") && text.contains("ball"), "{text}");
+}
+
+#[test]
+fn time_and_error_stop_where_they_say() {
+    let place = Place::new();
+    let stats = |args: &[&str]| -> serde_json::Value {
+        let outcome = place.render(&[args, &["--stats", "json"]].concat());
+        serde_json::from_str(&outcome.stdout).unwrap()
+    };
+    let timed = stats(&["--time", "300ms"]);
+    let seconds = timed["wall_seconds"].as_f64().unwrap();
+    assert!((0.25..3.0).contains(&seconds), "{seconds}");
+    assert!(timed["samples"].as_u64().unwrap() > 10);
+    let precise = stats(&["--error", "0.02"]);
+    let error = precise["relative_error"].as_f64().unwrap();
+    assert!((0.005..=0.02).contains(&error), "{error}");
+    let capped = place.render(&["--error", "1e-9", "--max-spp", "20", "--stats", "json"]);
+    assert!(capped.stderr.contains("warning: stopped at 20 samples"), "{}", capped.stderr);
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupt_ends_with_the_image_so_far() {
+    let place = Place::new();
+    for signal in ["-INT", "-TERM"] {
+        let outcome = interrupt(signal, || {
+            let endless = ["--spp", "4000000000", "--engine", "cpu", "-o", "out.exr"];
+            place.command(&[&["render", "ball.toml"], &endless[..]].concat())
+        });
+        assert_eq!(outcome.code, Some(1), "{}", outcome.stderr);
+        assert!(outcome.stderr.contains("error: interrupted"), "{}", outcome.stderr);
+        assert!(outcome.stderr.contains("of 4000000000"), "{}", outcome.stderr);
+        let image = place.image("out.exr");
+        assert!(image.samples.unwrap().iter().all(|&count| count >= 1.0));
+        fs::remove_file(place.path("out.exr")).unwrap();
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupt_before_the_first_sample_writes_nothing_and_says_so() {
+    let place = Place::new();
+    let closed = BALL.replacen("radius = 1", "radius = 50", 1);
+    place.write("slow.toml", closed.replacen("[0.7, 0.4, 0.3]", "[1, 1, 1]", 1));
+    let outcome = interrupt("-INT", || {
+        let slow = ["--size", "2500x2500", "--roulette", "off"];
+        let one_core = ["--engine", "cpu", "--threads", "1"];
+        place.command(&[&["render", "slow.toml"], &slow[..], &one_core].concat())
+    });
+    assert_eq!(outcome.code, Some(1), "{}", outcome.stderr);
+    assert!(outcome.stderr.contains("nothing was written"), "{}", outcome.stderr);
+    assert_eq!(place.files(), ["ball.toml", "slow.toml"]);
+}
+
+/// Sends a signal to a running render: again, and later, where it came before the program was ready for it.
+#[cfg(unix)]
+fn interrupt(signal: &str, command: impl Fn() -> Command) -> Outcome {
+    for wait in [300, 1000, 3000] {
+        let mut command = command();
+        let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        std::thread::sleep(Duration::from_millis(wait));
+        let sent = Command::new("kill").args([signal, &child.id().to_string()]).status();
+        assert!(sent.unwrap().success());
+        let outcome = Outcome::from(child.wait_with_output().unwrap());
+        if outcome.code.is_some() {
+            return outcome;
+        }
+    }
+    panic!("{signal} always killed the program");
+}
+
+/// A file size limit is a full disk that needs no privileges; where namespaces allow, a real one is filled too.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_disk_fails_that_output_only_and_keeps_what_was_there() {
+    let place = Place::new();
+    fs::create_dir(place.path("full")).unwrap();
+    place.write("noise.exr", "an older image");
+    // 512-byte blocks in dash, 1024-byte ones in bash: the .png fits, the .exr does not.
+    let limited = "trap '' XFSZ; ulimit -f 8; exec \"$@\"";
+    let outcome = under_shell(&place, &[], limited, "noise.exr", "small.png");
+    assert_eq!(outcome.code, Some(1), "{}", outcome.stderr);
+    assert!(outcome.stderr.contains("error: cannot write \"noise.exr\""), "{}", outcome.stderr);
+    assert_eq!(place.bytes("noise.exr"), b"an older image");
+    assert_eq!(place.files(), ["ball.toml", "full", "noise.exr", "small.png"]);
+
+    let filled = "mount -t tmpfs -o size=8k tmpfs full || exit 77; exec \"$@\"";
+    let outcome = under_shell(&place, &["unshare", "-rm"], filled, "full/noise.exr", "big.png");
+    if outcome.stderr.contains("unshare") || outcome.code == Some(77) {
+        return; // no namespaces here; the limit above has tested the same path
+    }
+    assert_eq!(outcome.code, Some(1), "{}", outcome.stderr);
+    let words = ["cannot write \"full/noise.exr\"", "No space left", "free some space"];
+    assert!(words.iter().all(|word| outcome.stderr.contains(word)), "{}", outcome.stderr);
+    assert!(place.path("big.png").is_file());
+}
+
+#[cfg(target_os = "linux")]
+fn under_shell(place: &Place, before: &[&str], script: &str, exr: &str, png: &str) -> Outcome {
+    let shell = ["sh", "-c", script, "sh", QTRACER];
+    let render = ["render", "ball.toml", "--engine", "cpu", "--size", "64x48"];
+    let outputs = ["-o", exr, "-o", png, "--exposure", "-9"];
+    let words = [before, &shell, &render, &outputs].concat();
+    let mut command = Command::new(words[0]);
+    command.args(&words[1..]).current_dir(place.0.path());
+    command.output().map_or_else(
+        |error| Outcome { code: None, stdout: String::new(), stderr: format!("{words:?}: {error}") },
+        Outcome::from,
+    )
+}
+
+#[test]
+fn comparing_an_image_with_itself_passes_every_test() {
+    let place = Place::new();
+    place.render(&["-o", "a.exr", "--spp", "64"]);
+    let all = ["compare", "a.exr", "a.exr", "--z-test", "--max-relmse", "0", "--json"];
+    let outcome = place.succeed(&all);
+    let json: serde_json::Value = serde_json::from_str(&outcome.stdout).unwrap();
+    assert_eq!(json["relative_mse"]["plain"], 0.0);
+    assert_eq!(json["z_test"]["passes"], true);
+    assert_eq!((&json["image"], &json["reference"]), (&"a.exr".into(), &"a.exr".into()));
+    let table = place.succeed(&["compare", "a.exr", "a.exr"]).stdout;
+    assert!(table.contains("relative MSE") && table.contains("z-test"), "{table}");
+}
+
+#[test]
+fn seeds_agree_and_two_per_cent_more_light_does_not() {
+    let place = Place::new();
+    for (seed, name) in [("1", "a.exr"), ("2", "b.exr")] {
+        place.render(&["--seed", seed, "-o", name, "--spp", "256", "--sampler", "independent"]);
+    }
+    let test = |a: &str| place.run(&["compare", a, "b.exr", "--z-test"]);
+    let same = test("a.exr");
+    assert_eq!(same.code, Some(0), "{}{}", same.stdout, same.stderr);
+    let mut brighter = place.image("a.exr");
+    brighter.rgb.iter_mut().flatten().for_each(|value| *value *= 1.02);
+    write_image(&place.path("brighter.exr"), &brighter, &WriteOptions::default()).unwrap();
+    let other = test("brighter.exr");
+    assert_eq!(other.code, Some(1), "{}", other.stdout);
+    assert!(other.stderr.contains("error: --z-test"), "{}", other.stderr);
+}
+
+#[test]
+fn limits_on_the_error_decide_the_exit_code() {
+    let place = Place::new();
+    place.render(&["--seed", "1", "-o", "a.exr"]);
+    place.render(&["--seed", "2", "-o", "b.exr"]);
+    let limit = |limit: &str| place.run(&["compare", "a.exr", "b.exr", "--max-relmse", limit]);
+    assert_eq!(limit("10").code, Some(0));
+    let above = limit("1e-9");
+    assert_eq!(above.code, Some(1));
+    assert!(above.stderr.contains("--max-relmse"), "{}", above.stderr);
+    let mut image = place.image("a.exr");
+    image.rgb[5] = [f32::NAN; 3];
+    write_image(&place.path("nan.exr"), &image, &WriteOptions::default()).unwrap();
+    let nan = place.run(&["compare", "nan.exr", "b.exr", "--max-relmse", "10"]);
+    assert_eq!(nan.code, Some(1), "{}", nan.stdout);
+}
+
+#[test]
+fn standard_errors_are_found_in_a_file_beside_the_reference() {
+    let place = Place::new();
+    place.render(&["--seed", "1", "-o", "a.exr", "--spp", "64"]);
+    let a = place.image("a.exr");
+    let save = |name: &str, rgb: &[[f32; 3]]| {
+        let image = Image::new(a.width, a.height, rgb.to_vec());
+        write_image(&place.path(name), &image, &WriteOptions::default()).unwrap();
+    };
+    save("bare.exr", &a.rgb);
+    let without = place.run(&["compare", "bare.exr", "bare.exr", "--z-test"]);
+    assert_eq!(without.code, Some(1));
+    assert!(without.stderr.contains("can't be made"), "{}", without.stderr);
+    save("errors.exr", a.standard_error.as_ref().unwrap());
+    let given = ["compare", "bare.exr", "bare.exr", "--z-test", "--stderr-of-b", "errors.exr"];
+    assert!(place.succeed(&given).stderr.contains("\"errors.exr\""));
+    fs::rename(place.path("errors.exr"), place.path("bare.se.exr")).unwrap();
+    let found = place.succeed(&["compare", "a.exr", "bare.exr", "--z-test"]);
+    assert!(found.stderr.contains("\"bare.se.exr\""), "{}", found.stderr);
+}
+
+#[test]
+fn differences_are_written_as_pictures() {
+    let place = Place::new();
+    place.render(&["-o", "a.exr"]);
+    let mut b = place.image("a.exr");
+    b.rgb[0] = b.rgb[0].map(|value| 0.5 * value);
+    b.rgb[1] = b.rgb[1].map(|value| 2.0 * value);
+    write_image(&place.path("b.exr"), &b, &WriteOptions::default()).unwrap();
+    place.succeed(&["compare", "a.exr", "b.exr", "--diff", "d.png"]);
+    place.succeed(&["compare", "a.exr", "b.exr", "--diff", "d.exr"]);
+    let (picture, values) = (place.image("d.png").rgb, place.image("d.exr").rgb);
+    assert!(picture[0][0] > picture[0][2] && picture[1][2] > picture[1][0]);
+    assert_eq!((picture[2], values[2]), ([0.0; 3], [0.0; 3]));
+    assert_eq!((values[0][2], values[1][2]), (0.5, -1.0));
+}
+
+#[test]
+fn images_that_cannot_be_compared_are_bad_input() {
+    let place = Place::new();
+    place.render(&["-o", "a.exr"]);
+    place.render(&["-o", "wide.exr", "--size", "17x12"]);
+    place.write("garbage.exr", [7u8; 300]);
+    let refuses = |args: &[&str], words: &[&str]| {
+        place.refuses(&[&["compare", "a.exr"], args].concat(), words);
+    };
+    refuses(&["missing.exr"], &["missing.exr", "check the name"]);
+    refuses(&["garbage.exr"], &["garbage.exr", "undamaged"]);
+    refuses(&["wide.exr"], &["16x12", "17x12"]);
+    refuses(&["."], &["regular file"]);
+    refuses(&["a.exr", "--stderr-of-b", "wide.exr"], &["wide.exr", "17x12"]);
+    refuses(&["a.exr", "--diff", "nowhere/d.png"], &["nowhere", "does not exist"]);
+    refuses(&["a.exr", "--alpha", "1"], &["--alpha", "between 0 and 1"]);
+    refuses(&["a.exr", "--epsilon", "0"], &["--epsilon", "above 0"]);
+    refuses(&["a.exr", "--max-relmse", "nan"], &["--max-relmse"]);
+    refuses(&["a.exr", "--max-relmse", "-1"], &["--max-relmse"]);
+}
+
+#[test]
+fn parts_merge_into_what_one_render_gives() {
+    let place = Place::new();
+    place.render(&["--spp", "64", "-o", "whole.exr"]);
+    place.render(&["--spp", "31", "-o", "a.exr"]);
+    place.render(&["--spp", "1", "--first-sample", "31", "-o", "b.exr"]);
+    place.render(&["--spp", "32", "--first-sample", "32", "-o", "c.exr"]);
+    place.succeed(&["merge", "c.exr", "a.exr", "-o", "ac.exr"]);
+    place.succeed(&["merge", "ac.exr", "b.exr", "-o", "merged.exr"]);
+    let (whole, merged) = (place.image("whole.exr"), place.image("merged.exr"));
+    let close = |a: &[[f32; 3]], b: &[[f32; 3]]| {
+        for (a, b) in a.iter().flatten().zip(b.iter().flatten()) {
+            assert!((a - b).abs() <= 1e-6 * a.abs().max(1e-3), "{a} {b}");
+        }
+    };
+    close(&whole.rgb, &merged.rgb);
+    close(&whole.standard_error.unwrap(), &merged.standard_error.unwrap());
+    assert_eq!((whole.samples, whole.features), (merged.samples, merged.features));
+    for key in ["scene", "seed", "first_sample", "samples", "engine", "max_bounces"] {
+        assert_eq!(whole.metadata.get(key), merged.metadata.get(key), "{key}");
+    }
+    assert_eq!(merged.metadata.get("parts"), None);
+}
+
+#[test]
+fn renders_of_different_seeds_merge_and_remember_their_parts() {
+    let place = Place::new();
+    for seed in ["1", "2"] {
+        place.render(&["--seed", seed, "-o", &format!("{seed}.exr")]);
+    }
+    place.succeed(&["merge", "1.exr", "2.exr", "-o", "both.exr"]);
+    let both = place.image("both.exr");
+    assert_eq!(both.metadata.get("parts"), Some("1:0..2 2:0..2"));
+    assert_eq!(both.metadata.get("samples"), Some("4"));
+    place.refuses(&["merge", "both.exr", "2.exr", "-o", "more.exr"], &["seed 2", "share"]);
+}
+
+#[test]
+fn parts_that_do_not_belong_together_are_refused() {
+    let place = Place::new();
+    place.variant("other.toml", "name = \"ball\"", "name = \"another\"");
+    place.render(&["-o", "a.exr", "-o", "a.png"]);
+    place.render(&["-o", "overlapping.exr", "--first-sample", "1"]);
+    place.render(&["-o", "wide.exr", "--size", "17x12", "--seed", "1"]);
+    place.render(&["-o", "short.exr", "--max-bounces", "2", "--seed", "1"]);
+    place.succeed(&["render", "other.toml", "--engine", "cpu", "--seed", "1", "-o", "other.exr"]);
+    let mut bare = place.image("a.exr");
+    bare.samples = None;
+    write_image(&place.path("bare.exr"), &bare, &WriteOptions::default()).unwrap();
+    let refuses = |b: &str, words: &[&str]| {
+        place.refuses(&["merge", "a.exr", b, "-o", "out.exr"], words);
+    };
+    refuses("a.exr", &["share samples", "--first-sample"]);
+    refuses("overlapping.exr", &["share samples", "--seed"]);
+    refuses("wide.exr", &["16x12", "17x12"]);
+    refuses("short.exr", &["max_bounces 2", "max_bounces 64"]);
+    refuses("other.exr", &["another", "ball"]);
+    refuses("a.png", &["a.png", "no standard errors"]);
+    refuses("bare.exr", &["bare.exr", "no sample counts"]);
+    refuses("missing.exr", &["missing.exr", "check the name"]);
+    place.refuses(&["merge", "a.exr", "-o", "out.exr"], &["2"]);
+    place.refuses(&["merge", "a.exr", "a.exr", "-o", "no/out.exr"], &["does not exist"]);
+}
+
+#[test]
+fn dumped_kernels_hold_only_what_the_scene_needs() {
+    let place = Place::new();
+    for (engine, kernel) in [("cpu", "step.wgsl"), ("megakernel", "megakernel.wgsl")] {
+        let args = ["render", "ball.toml", "--engine", engine, "--dump-kernels", engine];
+        // Without a GPU the render fails after that; the kernels are there all the same.
+        no_gpu(&place, &args);
+        assert!(place.path(engine).join(kernel).is_file());
+    }
+    let streamed = ["--schedule", "streamed", "--dump-kernels", "streamed"];
+    place.render(&streamed);
+    assert!(place.path("streamed/shade_diffuse.wgsl").is_file());
+    for folder in ["cpu", "megakernel", "streamed"] {
+        for entry in fs::read_dir(place.path(folder)).unwrap() {
+            let path = entry.unwrap().path();
+            assert_no_function_of_other_materials(&path);
+        }
+    }
+}
+
+fn assert_no_function_of_other_materials(path: &Path) {
+    let text = fs::read_to_string(path).unwrap();
+    assert!(text.contains("@compute"), "{path:?}");
+    for line in text.lines().filter(|line| line.trim_start().starts_with("fn ")) {
+        let foreign = ["dielectric", "glossy", "mirror"].iter().any(|kind| line.contains(kind));
+        assert!(!foreign, "{path:?}: {line}");
+    }
+}
+
+/// Runs as on a machine without any Vulkan driver.
+fn no_gpu(place: &Place, args: &[&str]) -> Outcome {
+    let mut command = place.command(args);
+    for variable in ["VK_DRIVER_FILES", "VK_ICD_FILENAMES"] {
+        command.env(variable, "/nonexistent/driver.json");
+    }
+    command.output().unwrap().into()
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn without_a_gpu_auto_takes_the_cpu_and_says_so_and_gpu_engines_fail() {
+    let place = Place::new();
+    let info = no_gpu(&place, &["info", "--json"]);
+    let info: serde_json::Value = serde_json::from_str(&info.stdout).unwrap();
+    assert_eq!(info["adapters"], serde_json::json!([]));
+    assert_eq!(info["auto"]["engine"], "cpu");
+    let text = no_gpu(&place, &["info"]);
+    assert!(text.stdout.contains("none found") && text.code == Some(0), "{}", text.stdout);
+    let auto = no_gpu(&place, &["render", "ball.toml"]);
+    assert_eq!(auto.code, Some(0), "{}", auto.stderr);
+    assert!(auto.stderr.contains("note: no GPU found"), "{}", auto.stderr);
+    let gpu = no_gpu(&place, &["render", "ball.toml", "--engine", "wavefront", "-o", "w.png"]);
+    assert_eq!(gpu.code, Some(1), "{}", gpu.stderr);
+    assert!(gpu.stderr.contains("--engine cpu"), "{}", gpu.stderr);
+    assert!(!place.path("w.png").exists());
+}
+
+#[test]
+fn an_adapter_that_is_not_there_is_bad_input() {
+    let place = Place::new();
+    place.refuses(&["render", "ball.toml", "--adapter", "no such thing"], &["GPU"]);
+}
+
+#[test]
+fn options_without_effect_are_named() {
+    let place = Place::new();
+    let idle = ["--pool", "1024", "--exposure", "1", "-o", "a.exr"];
+    let stderr = place.render(&idle).stderr;
+    assert!(stderr.contains("warning: --pool has no effect on the cpu engine"), "{stderr}");
+    assert!(stderr.contains("warning: --exposure has no effect"), "{stderr}");
+}
+
+#[test]
+fn every_help_teaches_by_example() {
+    let place = Place::new();
+    for command in ["", "render", "compare", "merge", "info", "check"] {
+        let args: Vec<&str> = [command, "--help"].into_iter().filter(|a| !a.is_empty()).collect();
+        let help = place.succeed(&args).stdout;
+        let examples = help.split_once("Examples:").expect("no examples").1;
+        let lines = examples.lines().filter(|line| line.contains("qtracer ")).count();
+        assert!(lines >= 3, "{command}: {lines} examples");
+    }
+}
+
+#[test]
+fn a_reader_that_goes_away_is_no_panic() {
+    let place = Place::new();
+    for args in [&["check", "ball.toml"][..], &["render", "--help"], &["info", "--json"]] {
+        let mut command = place.command(args);
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        drop(child.stdout.take());
+        let outcome = Outcome::from(child.wait_with_output().unwrap());
+        assert_eq!(outcome.code, Some(0), "{args:?}: {}", outcome.stderr);
+        assert!(!outcome.stderr.contains("panicked"), "{}", outcome.stderr);
+    }
+}
