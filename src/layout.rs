@@ -31,7 +31,7 @@ pub struct Field {
 
 impl Field {
     /// WGSL for the words of `value`, which has this field's type.
-    fn to_words(&self, value: &str) -> String {
+    fn words_of(&self, value: &str) -> String {
         match self.wgsl_type {
             "u32" => value.to_string(),
             "vec3<f32>" => format!("bitcast<vec3<u32>>({value})"),
@@ -40,7 +40,7 @@ impl Field {
     }
 
     /// WGSL for this field out of its row. Words travel as integers, which no hardware rounds or flushes.
-    fn from_row(&self) -> String {
+    fn unpacked(&self) -> String {
         let (row, lane) = (self.offset / 16, ["x", "y", "z", "w"][self.offset % 16 / 4]);
         match self.wgsl_type {
             "u32" => format!("row{row}.{lane}"),
@@ -72,14 +72,14 @@ pub trait GpuStruct: bytemuck::Pod {
             .collect();
         let mut text = String::new();
         for (i, row) in rows.iter().enumerate() {
-            let words: Vec<String> = row.iter().map(|f| f.to_words(&format!("item.{}", f.name))).collect();
+            let words: Vec<String> = row.iter().map(|f| f.words_of(&format!("item.{}", f.name))).collect();
             let words = words.join(", ");
             text += &format!(
                 "fn {name}_row{i}(item: {name}) -> vec4<u32> {{\n    return vec4<u32>({words});\n}}\n"
             );
         }
         let parameters: Vec<String> = (0..rows.len()).map(|i| format!("row{i}: vec4<u32>")).collect();
-        let fields: Vec<String> = Self::FIELDS.iter().map(Field::from_row).collect();
+        let fields: Vec<String> = Self::FIELDS.iter().map(Field::unpacked).collect();
         let (parameters, fields) = (parameters.join(", "), fields.join(", "));
         text + &format!("fn {name}_from_rows({parameters}) -> {name} {{\n    return {name}({fields});\n}}\n")
     }

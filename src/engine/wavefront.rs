@@ -251,3 +251,7 @@ impl Engine for WavefrontEngine {
         self.gpu.stats.clone()
     }
 }
+
+#[cfg(test)]
+#[path = "wavefront_tests.rs"]
+mod tests;

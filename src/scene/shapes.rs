@@ -38,7 +38,7 @@ pub struct Surface {
 pub const T_MISS: f32 = 3.0e38;
 /// Spawn offset relative to the largest coordinate involved: 16 ulp. A sphere of radius r at that offset leaves
 /// |o − c|² − r² = 2·r·offset, six times the rounding error of that difference. docs/ACCURACY.md has the counts.
-pub const RELATIVE_OFFSET: f32 = 9.5367431640625e-7;
+pub const RELATIVE_OFFSET: f32 = 1.0 / 1_048_576.0;
 
 /// Distance along the ray to the sphere, T_MISS if none lies ahead. The discriminant is taken from the closest
 /// approach, which keeps its digits for large and for far spheres (Haines, Günther, Akenine-Möller 2019).

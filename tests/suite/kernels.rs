@@ -101,9 +101,12 @@ fn every_kernel_module_of_the_folder_is_linked_into_the_program() {
     assert_eq!(embedded, on_disk);
 }
 
-/// (name, [(field, offset)], size) as Rust has them.
-fn rust_layouts() -> Vec<(&'static str, Vec<(&'static str, usize)>, usize)> {
-    fn layout<T: GpuStruct>() -> (&'static str, Vec<(&'static str, usize)>, usize) {
+/// Name, (field, offset)…, size.
+type Layout = (&'static str, Vec<(&'static str, usize)>, usize);
+
+/// The shared structs as Rust has them.
+fn rust_layouts() -> Vec<Layout> {
+    fn layout<T: GpuStruct>() -> Layout {
         (T::NAME, T::FIELDS.iter().map(|f| (f.name, f.offset)).collect(), size_of::<T>())
     }
     vec![
@@ -279,7 +282,8 @@ fn without_roulette_nothing_of_it_is_linked() {
     assert!(has(true) && !has(false));
 }
 
-/// What browsers grant: 10 storage buffers a stage, 256 invocations a workgroup, 16 KiB of workgroup memory.
+/// What browsers grant: 10 storage buffers and 12 uniform buffers of 64 KiB a stage, 256 invocations a workgroup, 16 KiB
+/// of workgroup memory.
 #[test]
 fn every_stage_of_every_scene_stays_within_what_browsers_grant() {
     for name in scene_names() {
@@ -288,6 +292,11 @@ fn every_stage_of_every_scene_stays_within_what_browsers_grant() {
             let storage = |space| matches!(space, naga::AddressSpace::Storage { .. });
             let buffers = module.global_variables.iter().filter(|(_, g)| storage(g.space)).count();
             assert!(buffers <= 10, "{name}: {kernel} binds {buffers} storage buffers");
+            let uniform =
+                module.global_variables.iter().filter(|(_, g)| g.space == naga::AddressSpace::Uniform);
+            let bytes: Vec<u32> =
+                uniform.map(|(_, g)| module.types[g.ty].inner.size(module.to_ctx())).collect();
+            assert!(bytes.len() <= 12 && bytes.iter().all(|b| *b <= 64 << 10), "{name}: {kernel}: {bytes:?}");
             assert_eq!(module.entry_points.len(), 1, "{name}: {kernel}");
             let invocations: u32 = module.entry_points[0].workgroup_size.iter().product();
             assert!(invocations <= 256, "{name}: {kernel} has {invocations} invocations");

@@ -1,0 +1,58 @@
+//! A queue that runs over is an error that names it. No right kernel lets one run over, so wrong ones are linked here.
+
+use super::*;
+use crate::film::Film;
+use crate::gpu::link::{MODULES, link_modules};
+use crate::gpu::stage::Schedule;
+use crate::random::Sampler;
+use crate::scene::Scene;
+
+/// Renders with `stage` linked from sources in which queues end at 20 rays. The message, or None if all went well.
+fn overflow(scene: &str, schedule: Schedule, stage: Stage, limit: &str) -> Option<String> {
+    let path = format!("{}/scenes/{scene}.toml", env!("CARGO_MANIFEST_DIR"));
+    let scene = Scene::load(path).expect("the scene loads");
+    let compiled = CompiledScene::new(&scene);
+    let uniforms = Uniforms { max_bounces: 8, ..compiled.uniforms(&scene.camera, 16, 16, 1) };
+    let key = KernelKey::new(&compiled, true, true, Sampler::Stratified);
+    let adapter = std::env::var("QTRACER_TEST_ADAPTER").ok();
+    let gpu = Gpu::open(adapter.as_deref()).expect("GPU tests need an adapter: run tests/run");
+    let options = RenderOptions { schedule: Some(schedule), ..Default::default() };
+    let mut engine =
+        WavefrontEngine::new(gpu, &compiled, uniforms, key, &options).expect("the engine starts");
+
+    let (from, to) = ("slot >= uniforms.capacity", format!("slot >= {limit}"));
+    assert!(MODULES.iter().any(|(_, text)| text.contains(from)));
+    let modules: Vec<(&str, String)> =
+        MODULES.iter().map(|(name, text)| (*name, text.replace(from, &to))).collect();
+    let modules: Vec<(&str, &str)> = modules.iter().map(|(name, text)| (*name, text.as_str())).collect();
+    let wgsl = link_modules(&modules, stage, &key, schedule).expect("the sabotaged kernel links");
+    let kernel = engine.gpu.gpu.kernel(&stage.name(), &wgsl).expect("the sabotaged kernel compiles");
+    engine.gpu.kernels.insert(stage, kernel);
+
+    let mut film = Film::new(16, 16);
+    let outcome = engine.render(0..1, &mut film, &CancelToken::default());
+    if outcome.is_err() {
+        assert_eq!(film.samples(), (0, 0), "a batch that lost rays was used");
+    }
+    outcome.err().map(|error| error.to_string())
+}
+
+#[test]
+fn a_queue_that_runs_over_is_an_error_that_names_it() {
+    let cases = [
+        ("cornell-box", Schedule::Fused, Stage::Step, "survivors"),
+        ("cornell-box", Schedule::Compacted, Stage::Compact, "survivors"),
+        ("cornell-box", Schedule::Streamed, Stage::Intersect, "diffuse hits"),
+        ("furnace-open-half", Schedule::Streamed, Stage::Intersect, "environment"),
+        ("bansal-room-1", Schedule::Compacted, Stage::Shade(0), "shadows"),
+    ];
+    for (scene, schedule, stage, queue) in cases {
+        let message = overflow(scene, schedule, stage, "20u").unwrap_or_default();
+        assert!(message.contains("queue overflow") && message.contains(queue), "{stage:?}: \"{message}\"");
+        assert_eq!(
+            overflow(scene, schedule, stage, "uniforms.capacity"),
+            None,
+            "{stage:?} is right as it is"
+        );
+    }
+}
