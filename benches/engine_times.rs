@@ -55,7 +55,12 @@ fn median(values: &[f64]) -> f64 {
 }
 
 /// Renders `spp` samples again and again: first a warm-up in which pipelines compile and submissions find their size.
-fn measure(scene: &Scene, options: RenderOptions, spp: u32, repetitions: usize) -> Result<Row, Box<dyn std::error::Error>> {
+fn measure(
+    scene: &Scene,
+    options: RenderOptions,
+    spp: u32,
+    repetitions: usize,
+) -> Result<Row, Box<dyn std::error::Error>> {
     let mut renderer = Renderer::new(scene, options)?;
     let mut row = Row { gpu_ms: vec![], wall_ms: vec![], stats: renderer.stats(), paths: 0 };
     for repetition in 0..repetitions + 3 {
@@ -101,7 +106,8 @@ fn run(arguments: &Arguments, path: &str, engine: &str) -> Result<(), Box<dyn st
     let row = measure(&scene, options, arguments.spp, arguments.repetitions)?;
     let gpu = choice != EngineChoice::Cpu;
     let ms = median(if gpu { &row.gpu_ms } else { &row.wall_ms });
-    let range = |v: &[f64]| (v.iter().copied().fold(f64::MAX, f64::min), v.iter().copied().fold(0.0, f64::max));
+    let range =
+        |v: &[f64]| (v.iter().copied().fold(f64::MAX, f64::min), v.iter().copied().fold(0.0, f64::max));
     let (low, high) = range(if gpu { &row.gpu_ms } else { &row.wall_ms });
     println!(
         "| {} | {engine} | {ms:.3} | {low:.3}-{high:.3} | {:.2} | {:.0} | {:.2} | {} | {} |",

@@ -19,7 +19,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         renderer.step(spp - renderer.samples())?;
         if renderer.samples() >= next_write || renderer.samples() == spp {
             write_image(Path::new(&output), &renderer.image(), &WriteOptions::default())?;
-            println!("{:>6} samples a pixel, error {:.4}", renderer.samples(), renderer.film().relative_error());
+            println!(
+                "{:>6} samples a pixel, error {:.4}",
+                renderer.samples(),
+                renderer.film().relative_error()
+            );
             next_write = renderer.samples() * 2;
         }
     }

@@ -34,8 +34,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     if (image.width, image.height) != (errors.width, errors.height) {
         return Err("image and errors differ in size".into());
     }
-    let to_f32 = |values: Vec<[f64; 3]>| -> Vec<[f32; 3]> { values.iter().map(|v| v.map(|v| v as f32)).collect() };
-    let mut small = Image::new(image.width / side, image.height / side, to_f32(block_means(&image, side, |v| v)));
+    let to_f32 =
+        |values: Vec<[f64; 3]>| -> Vec<[f32; 3]> { values.iter().map(|v| v.map(|v| v as f32)).collect() };
+    let mut small =
+        Image::new(image.width / side, image.height / side, to_f32(block_means(&image, side, |v| v)));
     // Pixels are independent: the variance of a block's mean is the mean variance over the number of pixels.
     let mut variance = block_means(&errors, side, |v| v * v);
     variance.iter_mut().flatten().for_each(|v| *v = (*v / f64::from(side * side)).sqrt());

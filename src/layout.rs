@@ -74,7 +74,9 @@ pub trait GpuStruct: bytemuck::Pod {
         for (i, row) in rows.iter().enumerate() {
             let words: Vec<String> = row.iter().map(|f| f.to_words(&format!("item.{}", f.name))).collect();
             let words = words.join(", ");
-            text += &format!("fn {name}_row{i}(item: {name}) -> vec4<u32> {{\n    return vec4<u32>({words});\n}}\n");
+            text += &format!(
+                "fn {name}_row{i}(item: {name}) -> vec4<u32> {{\n    return vec4<u32>({words});\n}}\n"
+            );
         }
         let parameters: Vec<String> = (0..rows.len()).map(|i| format!("row{i}: vec4<u32>")).collect();
         let fields: Vec<String> = Self::FIELDS.iter().map(Field::from_row).collect();

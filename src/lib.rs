@@ -34,9 +34,7 @@ pub mod scene;
 pub mod stats;
 pub mod transport;
 
-pub use engine::{
-    CancelToken, EngineChoice, EngineKind, RenderError, RenderOptions, RenderStats, Renderer,
-};
+pub use engine::{CancelToken, EngineChoice, EngineKind, RenderError, RenderOptions, RenderStats, Renderer};
 pub use film::{Film, Image};
 pub use random::Sampler;
 pub use scene::Scene;

@@ -35,8 +35,7 @@ pub struct SampleKey {
 
 /// PCG4D, Jarzynski & Olano 2020, "Hash Functions for GPU Rendering".
 pub fn pcg4d(key: [u32; 4]) -> [u32; 4] {
-    let [mut x, mut y, mut z, mut w] =
-        key.map(|k| k.wrapping_mul(1664525).wrapping_add(1013904223));
+    let [mut x, mut y, mut z, mut w] = key.map(|k| k.wrapping_mul(1664525).wrapping_add(1013904223));
     for round in 0..2 {
         x = x.wrapping_add(y.wrapping_mul(w));
         y = y.wrapping_add(z.wrapping_mul(x));

@@ -59,11 +59,9 @@ impl AliasTable {
         let count = weights.len();
         let total: f64 = weights.iter().sum();
         let mut share: Vec<f64> = weights.iter().map(|w| w / total * count as f64).collect();
-        let (mut small, mut large): (Vec<usize>, Vec<usize>) =
-            (0..count).partition(|&i| share[i] < 1.0);
-        let mut rows: Vec<AliasRow> = (0..count)
-            .map(|i| AliasRow { probability: 0.0, threshold: 1.0, alias: i as u32 })
-            .collect();
+        let (mut small, mut large): (Vec<usize>, Vec<usize>) = (0..count).partition(|&i| share[i] < 1.0);
+        let mut rows: Vec<AliasRow> =
+            (0..count).map(|i| AliasRow { probability: 0.0, threshold: 1.0, alias: i as u32 }).collect();
         while let (Some(s), Some(&l)) = (small.pop(), large.last()) {
             rows[s].threshold = share[s] as f32;
             rows[s].alias = l as u32;

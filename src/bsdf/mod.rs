@@ -8,9 +8,7 @@ mod mirror;
 
 pub use dielectric::fresnel;
 
-use crate::scene::compiled::{
-    KIND_DIELECTRIC, KIND_DIFFUSE, KIND_GLOSSY, KIND_MIRROR, Material,
-};
+use crate::scene::compiled::{KIND_DIELECTRIC, KIND_DIFFUSE, KIND_GLOSSY, KIND_MIRROR, Material};
 use glam::{Vec3, Vec3Swizzles};
 
 /// A direction that the material chose.

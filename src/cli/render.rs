@@ -159,15 +159,10 @@ impl<'a> Ending<'a> {
 
     /// Whoever interrupts wants no further rays: features are for complete renders.
     fn image(&self) -> Image {
-        let mut image = match self.job.features && self.complete {
+        match self.job.features && self.complete {
             true => self.renderer.image_with_features(),
             false => self.renderer.image(),
-        };
-        let (options, defaults) = (&self.job.options, &self.job.scene.defaults);
-        let levels = options.max_bounces.unwrap_or(defaults.max_bounces);
-        // The only option that changes what a render converges to, so merging asks for it.
-        image.metadata.set("max_bounces", levels);
-        image
+        }
     }
 
     /// `12 samples per pixel of 64`; `12 to 13` where an interrupt left some pixels ahead of others.

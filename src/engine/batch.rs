@@ -50,7 +50,12 @@ pub fn batches(pixels: u32, range: Range<u32>, max_paths: u32) -> Vec<Batch> {
         let mut pixel = 0;
         while pixel < pixels {
             let pixel_count = max_paths.max(1).min(pixels - pixel);
-            batches.push(Batch { first_pixel: pixel, pixel_count, first_sample: sample, sample_count: count });
+            batches.push(Batch {
+                first_pixel: pixel,
+                pixel_count,
+                first_sample: sample,
+                sample_count: count,
+            });
             pixel += pixel_count;
         }
         sample += count;

@@ -77,7 +77,12 @@ impl Engine for CpuEngine {
         self.stats.device.clone()
     }
 
-    fn render(&mut self, range: Range<u32>, film: &mut Film, cancel: &CancelToken) -> Result<(), RenderError> {
+    fn render(
+        &mut self,
+        range: Range<u32>,
+        film: &mut Film,
+        cancel: &CancelToken,
+    ) -> Result<(), RenderError> {
         let start = Instant::now();
         let pixels = self.uniforms.width * self.uniforms.height;
         // Paths of a pass are numbered in 32 bits.

@@ -6,6 +6,8 @@ use crate::gpu::error::GpuError;
 pub enum RenderError {
     #[error(transparent)]
     Gpu(#[from] GpuError),
+    #[error(transparent)]
+    Scene(#[from] crate::scene::SceneError),
     #[error("{option} {value}: {remedy}")]
     Option { option: &'static str, value: String, remedy: String },
     #[error("sample {last} is beyond the last one, {max}; start at a lower --first-sample", max = u32::MAX)]

@@ -1,7 +1,7 @@
 //! First-hit albedo, normal and depth, for denoisers and compositing. Few rays, so always by the CPU twins.
 
 use crate::film::Features;
-use crate::random::{DIMENSION_CAMERA, Sampler, SampleKey, sample4};
+use crate::random::{DIMENSION_CAMERA, SampleKey, Sampler, sample4};
 use crate::scene::camera::camera_ray;
 use crate::scene::compiled::{CompiledScene, Uniforms};
 use crate::scene::shapes::{intersect, shape_info, surface_at};

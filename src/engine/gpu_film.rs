@@ -181,7 +181,12 @@ impl GpuFilm {
     }
 
     /// Sums the batch's radiance per pixel and block, and adds the sums to the host's film.
-    pub fn resolve(&mut self, batch: &Batch, bind: &wgpu::BindGroup, film: &mut Film) -> Result<(), RenderError> {
+    pub fn resolve(
+        &mut self,
+        batch: &Batch,
+        bind: &wgpu::BindGroup,
+        film: &mut Film,
+    ) -> Result<(), RenderError> {
         let items = batch.pixel_count * batch.blocks();
         let (bytes, _) = self.submit(Some("block_sums"), |this, pass| {
             let kernel = &this.kernels[&Stage::Resolve];

@@ -18,7 +18,12 @@ pub struct MegakernelEngine {
 }
 
 impl MegakernelEngine {
-    pub fn new(gpu: Gpu, scene: &CompiledScene, uniforms: Uniforms, key: KernelKey) -> Result<Self, RenderError> {
+    pub fn new(
+        gpu: Gpu,
+        scene: &CompiledScene,
+        uniforms: Uniforms,
+        key: KernelKey,
+    ) -> Result<Self, RenderError> {
         let first = if gpu.summary.software { 1 << 13 } else { 1 << 19 };
         let stages = Stage::megakernel();
         let gpu = GpuFilm::new(gpu, scene, uniforms, key, &stages, Schedule::Fused, "megakernel")?;
@@ -58,7 +63,12 @@ impl Engine for MegakernelEngine {
         self.gpu.stats.device.clone()
     }
 
-    fn render(&mut self, range: Range<u32>, film: &mut Film, cancel: &CancelToken) -> Result<(), RenderError> {
+    fn render(
+        &mut self,
+        range: Range<u32>,
+        film: &mut Film,
+        cancel: &CancelToken,
+    ) -> Result<(), RenderError> {
         let start = Instant::now();
         let pixels = self.gpu.uniforms.width * self.gpu.uniforms.height;
         for batch in batches(pixels, range, self.gpu.max_paths) {

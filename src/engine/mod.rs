@@ -44,7 +44,8 @@ pub trait Engine: Send {
 
     /// Adds the samples `range` of every pixel to the film. On cancellation or failure, what was added before stays, and
     /// the film's counts say how much that is.
-    fn render(&mut self, range: Range<u32>, film: &mut Film, cancel: &CancelToken) -> Result<(), RenderError>;
+    fn render(&mut self, range: Range<u32>, film: &mut Film, cancel: &CancelToken)
+    -> Result<(), RenderError>;
 
     /// Samples per pixel to ask for at once, so that a step is neither long nor wasteful.
     fn step_samples(&self) -> u32;

@@ -3,6 +3,7 @@
 use super::RenderError;
 use crate::gpu::stage::Schedule;
 use crate::random::Sampler;
+use crate::scene::{Scene, check_image_size};
 use std::fmt;
 
 /// The engines, as they can be asked for.
@@ -69,7 +70,7 @@ impl RenderOptions {
         Self::on(EngineChoice::Cpu)
     }
 
-    pub(super) fn validate(&self) -> Result<(), RenderError> {
+    pub(super) fn validate(&self, scene: &Scene) -> Result<(), RenderError> {
         let refuse = |option, value: u32, remedy: &str| {
             Err(RenderError::Option { option, value: value.to_string(), remedy: remedy.to_string() })
         };
@@ -83,6 +84,8 @@ impl RenderOptions {
         {
             return refuse("--pool", pool, "choose 256 to 67108864 rays");
         }
+        let (width, height) = self.size.unwrap_or((scene.camera.width, scene.camera.height));
+        check_image_size(width.into(), height.into())?;
         Ok(())
     }
 }

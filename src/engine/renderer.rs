@@ -8,8 +8,8 @@ use super::{CancelToken, Engine, EngineChoice, EngineKind, RenderError, RenderOp
 use crate::film::{Film, Image};
 use crate::gpu::device::Gpu;
 use crate::gpu::key::KernelKey;
-use crate::scene::compiled::{CompiledScene, Uniforms};
 use crate::scene::Scene;
+use crate::scene::compiled::{CompiledScene, Uniforms};
 
 /// Renders a scene progressively. Nothing is printed and nothing is global; it may be sent to another thread.
 pub struct Renderer {
@@ -27,7 +27,7 @@ pub struct Renderer {
 impl Renderer {
     /// Prepares the scene for the engine that the options ask for, or the best there is.
     pub fn new(scene: &Scene, options: RenderOptions) -> Result<Renderer, RenderError> {
-        options.validate()?;
+        options.validate(scene)?;
         let compiled = CompiledScene::new(scene);
         let (width, height) = options.size.unwrap_or((scene.camera.width, scene.camera.height));
         let mut uniforms = compiled.uniforms(&scene.camera, width, height, options.seed);
@@ -84,6 +84,7 @@ impl Renderer {
         metadata.set("seed", self.uniforms.seed);
         metadata.set("first_sample", self.first_sample);
         metadata.set("samples", self.film.samples().1);
+        metadata.set("max_bounces", self.uniforms.max_bounces);
         metadata.set("engine", self.engine.kind());
         metadata.set("device", self.engine.device());
         metadata.set("software", concat!("qtracer ", env!("CARGO_PKG_VERSION")));
@@ -148,7 +149,10 @@ fn build_engine(
                 Ok(Box::new(WavefrontEngine::new(gpu, compiled, uniforms, key, options)?))
             }
             Ok(gpu) => {
-                notices.push(format!("the only adapter is a software one ({}): using the CPU engine", gpu.summary.name));
+                notices.push(format!(
+                    "the only adapter is a software one ({}): using the CPU engine",
+                    gpu.summary.name
+                ));
                 cpu()
             }
             Err(_) if adapter.is_none() => {

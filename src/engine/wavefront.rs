@@ -80,9 +80,8 @@ impl WavefrontEngine {
         self.gpu.uniforms.capacity = capacity.max(self.gpu.uniforms.capacity);
         self.create_queues()?;
         let gpu = &self.gpu;
-        let bind = |stage: Stage, names: &[(&str, &str)]| {
-            gpu.kernels[&stage].bind(&gpu.gpu, &gpu.buffers, names)
-        };
+        let bind =
+            |stage: Stage, names: &[(&str, &str)]| gpu.kernels[&stage].bind(&gpu.gpu, &gpu.buffers, names);
         self.binds = self
             .level
             .iter()
@@ -105,7 +104,11 @@ impl WavefrontEngine {
         let queue_bytes = [
             ("rays_a", size_of::<RayItem>() as u64, true),
             ("rays_b", size_of::<RayItem>() as u64, true),
-            ("hits", size_of::<HitItem>() as u64 * u64::from(self.gpu.key.hit_queues()), self.gpu.is_bound("hits")),
+            (
+                "hits",
+                size_of::<HitItem>() as u64 * u64::from(self.gpu.key.hit_queues()),
+                self.gpu.is_bound("hits"),
+            ),
             ("shadows", size_of::<ShadowItem>() as u64, self.gpu.is_bound("shadows")),
         ];
         let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC | BufferUsages::COPY_DST;
@@ -173,14 +176,19 @@ impl WavefrontEngine {
             return Ok(());
         }
         let key = &self.gpu.key;
-        let mut names: Vec<String> = vec!["overflow", "survivors", "live", "fresh", "paths", "shadows", "", "rays"]
-            .into_iter()
-            .map(str::to_string)
-            .collect();
+        let mut names: Vec<String> =
+            vec!["overflow", "survivors", "live", "fresh", "paths", "shadows", "", "rays"]
+                .into_iter()
+                .map(str::to_string)
+                .collect();
         names.extend((0..4).filter(|&k| key.kinds[k]).map(|k| format!("{} hits", KIND_NAMES[k])));
         names.push("environment".to_string());
-        let queues: Vec<&str> =
-            names.iter().enumerate().filter(|(i, _)| overflow >> i & 1 == 1).map(|(_, n)| n.as_str()).collect();
+        let queues: Vec<&str> = names
+            .iter()
+            .enumerate()
+            .filter(|(i, _)| overflow >> i & 1 == 1)
+            .map(|(_, n)| n.as_str())
+            .collect();
         Err(GpuError::QueueOverflow { queues: queues.join(", ") }.into())
     }
 }
@@ -214,7 +222,12 @@ impl Engine for WavefrontEngine {
         self.gpu.stats.device.clone()
     }
 
-    fn render(&mut self, range: Range<u32>, film: &mut Film, cancel: &CancelToken) -> Result<(), RenderError> {
+    fn render(
+        &mut self,
+        range: Range<u32>,
+        film: &mut Film,
+        cancel: &CancelToken,
+    ) -> Result<(), RenderError> {
         let start = Instant::now();
         let pixels = self.gpu.uniforms.width * self.gpu.uniforms.height;
         for batch in batches(pixels, range, self.gpu.max_paths) {

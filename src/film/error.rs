@@ -23,21 +23,14 @@ pub enum ImageError {
     #[error("cannot read \"{}\": {reason}; give an undamaged .exr, .png, .jpg or .hdr image", path.display())]
     NotAnImage { path: PathBuf, reason: String },
     #[error("cannot read \"{}\": {width}x{height} pixels is too large ({reason}); give a smaller image", path.display())]
-    TooLarge {
-        path: PathBuf,
-        width: usize,
-        height: usize,
-        reason: &'static str,
-    },
+    TooLarge { path: PathBuf, width: usize, height: usize, reason: &'static str },
     #[error("cannot read \"{}\": it has no R, G, B channels but {found}; export it as RGB", path.display())]
     NoColour { path: PathBuf, found: String },
 }
 
 fn write_remedy(source: &io::Error) -> &'static str {
     match source.kind() {
-        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
-            "free some space or choose another -o"
-        }
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => "free some space or choose another -o",
         io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => {
             "make the folder writable or choose another -o"
         }

@@ -19,25 +19,15 @@ const ATTRIBUTE: &str = "qtracer";
 type Channels = AnyChannels<FlatSamples>;
 
 pub(super) fn encode(out: &mut (impl Write + Seek), image: &Image) -> Result<(), EncodeError> {
-    let attributes = LayerAttributes {
-        other: to_attributes(&image.metadata),
-        ..LayerAttributes::default()
-    };
+    let attributes = LayerAttributes { other: to_attributes(&image.metadata), ..LayerAttributes::default() };
     let encoding = Encoding {
         compression: Compression::ZIP16,
         blocks: Blocks::ScanLines,
         line_order: LineOrder::Increasing,
     };
     let size = (image.width as usize, image.height as usize);
-    let layer = Layer::new(
-        size,
-        attributes,
-        encoding,
-        AnyChannels::sort(to_channels(image)),
-    );
-    let written = exr::prelude::Image::from_layer(layer)
-        .write()
-        .to_buffered(out);
+    let layer = Layer::new(size, attributes, encoding, AnyChannels::sort(to_channels(image)));
+    let written = exr::prelude::Image::from_layer(layer).write().to_buffered(out);
     written.map_err(|error| match error {
         exr::error::Error::Io(error) => EncodeError::Io(error),
         other => EncodeError::Format(other.to_string()),
@@ -46,8 +36,7 @@ pub(super) fn encode(out: &mut (impl Write + Seek), image: &Image) -> Result<(),
 
 fn to_channels(image: &Image) -> SmallVec<[AnyChannel<FlatSamples>; 4]> {
     let mut list = SmallVec::new();
-    let mut add =
-        |name: &str, values: Vec<f32>| list.push(AnyChannel::new(name, FlatSamples::F32(values)));
+    let mut add = |name: &str, values: Vec<f32>| list.push(AnyChannel::new(name, FlatSamples::F32(values)));
     let mut add_three = |names: [&str; 3], values: &[[f32; 3]]| {
         (0..3).for_each(|i| add(names[i], values.iter().map(|v| v[i]).collect()));
     };
@@ -99,9 +88,7 @@ fn to_metadata<'a>(attributes: impl Iterator<Item = (&'a Text, &'a AttributeValu
     let pairs = texts.iter().filter_map(ours).flatten();
     let others = texts.iter().filter(|text| ours(text).is_none()).cloned();
     let mut metadata = Metadata::new();
-    pairs
-        .chain(others)
-        .for_each(|(key, value)| metadata.set(&key, value));
+    pairs.chain(others).for_each(|(key, value)| metadata.set(&key, value));
     metadata
 }
 
@@ -140,25 +127,14 @@ pub(super) fn decode(
         .all_layers()
         .all_attributes();
     let file = read.non_parallel().from_buffered(Cursor::new(bytes))?;
-    let coloured = file
-        .layer_data
-        .iter()
-        .find_map(|layer| Some((layer, colour_prefix(&layer.channel_data)?)));
+    let coloured =
+        file.layer_data.iter().find_map(|layer| Some((layer, colour_prefix(&layer.channel_data)?)));
     let Some((layer, prefix)) = coloured else {
-        let names = file
-            .layer_data
-            .iter()
-            .flat_map(|layer| &layer.channel_data.list)
-            .map(|c| c.name.to_string());
-        return Err(DecodeError::NoColour(
-            names.take(20).collect::<Vec<_>>().join(" "),
-        ));
+        let names =
+            file.layer_data.iter().flat_map(|layer| &layer.channel_data.list).map(|c| c.name.to_string());
+        return Err(DecodeError::NoColour(names.take(20).collect::<Vec<_>>().join(" ")));
     };
-    let attributes = file
-        .attributes
-        .other
-        .iter()
-        .chain(layer.attributes.other.iter());
+    let attributes = file.attributes.other.iter().chain(layer.attributes.other.iter());
     let mut image = from_channels(&layer.channel_data, &prefix, layer.size.0, layer.size.1)
         .ok_or_else(|| DecodeError::Damaged("its channels differ in size".to_string()))?;
     image.metadata = to_metadata(attributes);
@@ -169,56 +145,29 @@ pub(super) fn decode(
 fn colour_prefix(channels: &Channels) -> Option<String> {
     let has = |name: &str| channels.list.iter().any(|channel| channel.name.eq(name));
     let complete = |prefix: &&str| ["R", "G", "B"].iter().all(|c| has(&format!("{prefix}{c}")));
-    let names: Vec<String> = channels
-        .list
-        .iter()
-        .map(|channel| channel.name.to_string())
-        .collect();
-    let layers = names
-        .iter()
-        .filter_map(|name| name.strip_suffix('R'))
-        .filter(|prefix| prefix.ends_with('.'));
-    std::iter::once("")
-        .chain(layers)
-        .find(complete)
-        .map(str::to_string)
+    let names: Vec<String> = channels.list.iter().map(|channel| channel.name.to_string()).collect();
+    let layers =
+        names.iter().filter_map(|name| name.strip_suffix('R')).filter(|prefix| prefix.ends_with('.'));
+    std::iter::once("").chain(layers).find(complete).map(str::to_string)
 }
 
 fn from_channels(channels: &Channels, prefix: &str, width: usize, height: usize) -> Option<Image> {
     let one = |name: &str| -> Option<Vec<f32>> {
         let channel = channels.list.iter().find(|channel| channel.name.eq(name))?;
-        let plain = channel.sampling.0 == 1
-            && channel.sampling.1 == 1
-            && channel.sample_data.len() == width * height;
+        let plain =
+            channel.sampling.0 == 1 && channel.sampling.1 == 1 && channel.sample_data.len() == width * height;
         plain.then(|| channel.sample_data.values_as_f32().collect())
     };
     let three = |prefix: &str, names: [&str; 3]| -> Option<Vec<[f32; 3]>> {
         let [x, y, z] = names.map(|name| one(&format!("{prefix}{name}")));
-        Some(
-            x?.into_iter()
-                .zip(y?)
-                .zip(z?)
-                .map(|((x, y), z)| [x, y, z])
-                .collect(),
-        )
+        Some(x?.into_iter().zip(y?).zip(z?).map(|((x, y), z)| [x, y, z]).collect())
     };
     let colours = ["R", "G", "B"];
     let features = || {
-        let (albedo, normal) = (
-            three("albedo.", colours)?,
-            three("normal.", ["X", "Y", "Z"])?,
-        );
-        Some(Features {
-            albedo,
-            normal,
-            depth: one("depth.Z")?,
-        })
+        let (albedo, normal) = (three("albedo.", colours)?, three("normal.", ["X", "Y", "Z"])?);
+        Some(Features { albedo, normal, depth: one("depth.Z")? })
     };
-    let mut image = Image::new(
-        width.try_into().ok()?,
-        height.try_into().ok()?,
-        three(prefix, colours)?,
-    );
+    let mut image = Image::new(width.try_into().ok()?, height.try_into().ok()?, three(prefix, colours)?);
     image.standard_error = three("stderr.", colours);
     image.samples = one("samples");
     image.features = features();

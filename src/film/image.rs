@@ -31,12 +31,7 @@ pub struct Image {
 impl Image {
     /// An image of colours alone.
     pub fn new(width: u32, height: u32, rgb: Vec<[f32; 3]>) -> Self {
-        Self {
-            width,
-            height,
-            rgb,
-            ..Self::default()
-        }
+        Self { width, height, rgb, ..Self::default() }
     }
 
     pub fn pixel_count(&self) -> usize {
@@ -65,13 +60,7 @@ impl Image {
             ("depth", features.map(|f| f.depth.len())),
         ];
         let count = self.pixel_count();
-        let wrong = lists
-            .iter()
-            .find(|(_, len)| len.is_some_and(|len| len != count));
-        if count == 0 {
-            Some("pixels")
-        } else {
-            wrong.map(|(name, _)| *name)
-        }
+        let wrong = lists.iter().find(|(_, len)| len.is_some_and(|len| len != count));
+        if count == 0 { Some("pixels") } else { wrong.map(|(name, _)| *name) }
     }
 }

@@ -24,16 +24,11 @@ impl Metadata {
     }
 
     pub fn get(&self, key: &str) -> Option<&str> {
-        self.entries
-            .iter()
-            .find(|(k, _)| k == key)
-            .map(|(_, value)| value.as_str())
+        self.entries.iter().find(|(k, _)| k == key).map(|(_, value)| value.as_str())
     }
 
     pub fn iter(&self) -> impl Iterator<Item = (&str, &str)> {
-        self.entries
-            .iter()
-            .map(|(key, value)| (key.as_str(), value.as_str()))
+        self.entries.iter().map(|(key, value)| (key.as_str(), value.as_str()))
     }
 
     pub fn is_empty(&self) -> bool {
@@ -44,9 +39,7 @@ impl Metadata {
 /// PNG keywords also have no space at either end and no two in a row.
 fn clean_key(key: &str) -> String {
     const MAX_CHARS: usize = 79;
-    let printable = key
-        .chars()
-        .map(|c| if c.is_ascii_graphic() { c } else { '_' });
+    let printable = key.chars().map(|c| if c.is_ascii_graphic() { c } else { '_' });
     let key: String = printable.take(MAX_CHARS).collect();
     if key.is_empty() { "_".to_string() } else { key }
 }
@@ -61,10 +54,7 @@ mod tests {
         metadata.set("seed", 7);
         metadata.set("engine", "cpu");
         metadata.set("seed", 8);
-        assert_eq!(
-            metadata.iter().collect::<Vec<_>>(),
-            [("seed", "8"), ("engine", "cpu")]
-        );
+        assert_eq!(metadata.iter().collect::<Vec<_>>(), [("seed", "8"), ("engine", "cpu")]);
         assert_eq!(metadata.get("engine"), Some("cpu"));
         assert_eq!(metadata.get("scene"), None);
     }
@@ -76,10 +66,7 @@ mod tests {
         metadata.set(" größe", "ü");
         metadata.set(&"x".repeat(200), "");
         let keys: Vec<_> = metadata.iter().map(|(key, _)| key.to_string()).collect();
-        assert_eq!(
-            keys,
-            ["_".to_string(), "_gr__e".to_string(), "x".repeat(79)]
-        );
+        assert_eq!(keys, ["_".to_string(), "_gr__e".to_string(), "x".repeat(79)]);
         assert_eq!(metadata.get("_"), Some("ab"));
     }
 }

@@ -15,18 +15,9 @@ impl From<png::EncodingError> for EncodeError {
     }
 }
 
-pub(super) fn encode(
-    out: &mut impl Write,
-    image: &Image,
-    exposure: f32,
-) -> Result<(), EncodeError> {
+pub(super) fn encode(out: &mut impl Write, image: &Image, exposure: f32) -> Result<(), EncodeError> {
     let gain = exposure.exp2();
-    let bytes: Vec<u8> = image
-        .rgb
-        .iter()
-        .flatten()
-        .map(|&value| linear_to_srgb8(value * gain))
-        .collect();
+    let bytes: Vec<u8> = image.rgb.iter().flatten().map(|&value| linear_to_srgb8(value * gain)).collect();
     let mut encoder = png::Encoder::new(out, image.width, image.height);
     encoder.set_color(png::ColorType::Rgb);
     encoder.set_depth(png::BitDepth::Eight);
@@ -38,10 +29,7 @@ pub(super) fn encode(
 }
 
 /// tEXt holds Latin-1 only; what is not ASCII goes to iTXt, which is UTF-8.
-fn add_texts<W: Write>(
-    encoder: &mut png::Encoder<W>,
-    metadata: &Metadata,
-) -> Result<(), EncodeError> {
+fn add_texts<W: Write>(encoder: &mut png::Encoder<W>, metadata: &Metadata) -> Result<(), EncodeError> {
     for (key, value) in metadata.iter() {
         let (key, value) = (key.to_string(), value.to_string());
         if value.is_ascii() {

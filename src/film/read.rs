@@ -23,16 +23,9 @@ const FREE_BYTES: usize = 1 << 24;
 /// Reads .exr (ours with all layers; others' R, G, B), .png, .jpg (decoded from sRGB to linear) and .hdr.
 /// The content decides, not the name.
 pub fn read_image(path: &Path) -> Result<Image, ImageError> {
-    let bytes = read_bytes(path).map_err(|source| ImageError::Read {
-        path: path.into(),
-        source,
-    })?;
+    let bytes = read_bytes(path).map_err(|source| ImageError::Read { path: path.into(), source })?;
     let decode = || {
-        if bytes.starts_with(&EXR_MAGIC) {
-            decode_exr(&bytes)
-        } else {
-            decode_other(&bytes)
-        }
+        if bytes.starts_with(&EXR_MAGIC) { decode_exr(&bytes) } else { decode_other(&bytes) }
     };
     // Decoders of others may panic on what their authors have not thought of.
     let outcome = catch_unwind(AssertUnwindSafe(decode))
@@ -60,80 +53,49 @@ fn explain(path: &Path, error: DecodeError) -> ImageError {
                 true => "more than its bytes can hold",
                 false => "the limit is 2^28",
             };
-            ImageError::TooLarge {
-                path,
-                width,
-                height,
-                reason,
-            }
+            ImageError::TooLarge { path, width, height, reason }
         }
     }
 }
 
 fn plausible_pixels(width: usize, height: usize) -> bool {
-    width
-        .checked_mul(height)
-        .is_some_and(|pixels| pixels <= MAX_PIXELS)
+    width.checked_mul(height).is_some_and(|pixels| pixels <= MAX_PIXELS)
 }
 
 /// Whether a file of `file_bytes` may ask for so many 4-byte samples.
 fn plausible(file_bytes: usize, width: usize, height: usize, channels: usize) -> bool {
-    let budget = file_bytes
-        .saturating_mul(MAX_EXPANSION)
-        .saturating_add(FREE_BYTES);
-    let needed = width
-        .saturating_mul(height)
-        .saturating_mul(channels)
-        .saturating_mul(4);
+    let budget = file_bytes.saturating_mul(MAX_EXPANSION).saturating_add(FREE_BYTES);
+    let needed = width.saturating_mul(height).saturating_mul(channels).saturating_mul(4);
     plausible_pixels(width, height) && needed <= budget
 }
 
 fn decode_exr(bytes: &[u8]) -> Result<Image, DecodeError> {
-    exr_file::decode(bytes, |width, height, channels| {
-        plausible(bytes.len(), width, height, channels)
-    })
+    exr_file::decode(bytes, |width, height, channels| plausible(bytes.len(), width, height, channels))
 }
 
 fn decode_other(bytes: &[u8]) -> Result<Image, DecodeError> {
     let damaged = |error: image::ImageError| DecodeError::Damaged(error.to_string());
     let unreadable = |error: io::Error| DecodeError::Damaged(error.to_string());
-    let mut reader = ImageReader::new(Cursor::new(bytes))
-        .with_guessed_format()
-        .map_err(unreadable)?;
+    let mut reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(unreadable)?;
     if reader.format().is_none() {
-        return Err(DecodeError::Damaged(
-            "it is no image of a known kind".to_string(),
-        ));
+        return Err(DecodeError::Damaged("it is no image of a known kind".to_string()));
     }
     let mut limits = Limits::no_limits();
-    limits.max_alloc = Some(
-        bytes
-            .len()
-            .saturating_mul(MAX_EXPANSION)
-            .saturating_add(FREE_BYTES) as u64,
-    );
+    limits.max_alloc = Some(bytes.len().saturating_mul(MAX_EXPANSION).saturating_add(FREE_BYTES) as u64);
     reader.limits(limits);
     let decoder = reader.into_decoder().map_err(damaged)?;
     let (width, height) = decoder.dimensions();
     if !plausible(bytes.len(), width as usize, height as usize, 3) {
         return Err(DecodeError::TooLarge(width as usize, height as usize));
     }
-    Ok(to_linear(
-        DynamicImage::from_decoder(decoder).map_err(damaged)?,
-    ))
+    Ok(to_linear(DynamicImage::from_decoder(decoder).map_err(damaged)?))
 }
 
 fn to_linear(decoded: DynamicImage) -> Image {
-    let linear = matches!(
-        decoded,
-        DynamicImage::ImageRgb32F(_) | DynamicImage::ImageRgba32F(_)
-    );
+    let linear = matches!(decoded, DynamicImage::ImageRgb32F(_) | DynamicImage::ImageRgba32F(_));
     let pixels = decoded.to_rgb32f();
     let to_linear = |value: f32| if linear { value } else { srgb_to_linear(value) };
-    let rgb = pixels
-        .pixels()
-        .map(|pixel| pixel.0.map(to_linear))
-        .collect();
+    let rgb = pixels.pixels().map(|pixel| pixel.0.map(to_linear)).collect();
     Image::new(pixels.width(), pixels.height(), rgb)
 }
 

@@ -2,20 +2,12 @@
 
 /// Linear [0, 1] to display [0, 1]. Not clamped.
 pub fn linear_to_srgb(linear: f32) -> f32 {
-    if linear <= 0.003_130_8 {
-        12.92 * linear
-    } else {
-        1.055 * linear.powf(1.0 / 2.4) - 0.055
-    }
+    if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 }
 }
 
 /// Inverse of [`linear_to_srgb`].
 pub fn srgb_to_linear(display: f32) -> f32 {
-    if display <= 0.040_45 {
-        display / 12.92
-    } else {
-        ((display + 0.055) / 1.055).powf(2.4)
-    }
+    if display <= 0.040_45 { display / 12.92 } else { ((display + 0.055) / 1.055).powf(2.4) }
 }
 
 /// To 8 bits: clamped, rounded to nearest; NaN becomes 0.
@@ -30,10 +22,7 @@ mod tests {
     #[test]
     fn every_8_bit_value_survives_decoding_and_encoding() {
         for value in 0..=255u8 {
-            assert_eq!(
-                linear_to_srgb8(srgb_to_linear(f32::from(value) / 255.0)),
-                value
-            );
+            assert_eq!(linear_to_srgb8(srgb_to_linear(f32::from(value) / 255.0)), value);
         }
     }
 

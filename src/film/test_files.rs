@@ -28,9 +28,7 @@ impl Rng {
     }
 
     fn triples(&mut self, count: usize) -> Vec<[f32; 3]> {
-        (0..count)
-            .map(|_| [0; 3].map(|_| self.uniform() * 10.0 - 1.0))
-            .collect()
+        (0..count).map(|_| [0; 3].map(|_| self.uniform() * 10.0 - 1.0)).collect()
     }
 }
 
@@ -39,28 +37,17 @@ pub fn full_image(width: u32, height: u32) -> Image {
     let mut rng = Rng::new(u64::from(width));
     let count = width as usize * height as usize;
     let mut image = Image::new(width, height, rng.triples(count));
-    let odd = [
-        [f32::MAX, f32::MIN_POSITIVE, 1e-42],
-        [f32::INFINITY, f32::NEG_INFINITY, -0.0],
-    ];
-    odd.iter()
-        .zip(&mut image.rgb)
-        .for_each(|(odd, rgb)| *rgb = *odd);
+    let odd = [[f32::MAX, f32::MIN_POSITIVE, 1e-42], [f32::INFINITY, f32::NEG_INFINITY, -0.0]];
+    odd.iter().zip(&mut image.rgb).for_each(|(odd, rgb)| *rgb = *odd);
     image.standard_error = Some(rng.triples(count));
     image.samples = Some((0..count).map(|i| i as f32).collect());
     let depth = (0..count).map(|_| rng.uniform()).collect();
-    image.features = Some(Features {
-        albedo: rng.triples(count),
-        normal: rng.triples(count),
-        depth,
-    });
+    image.features = Some(Features { albedo: rng.triples(count), normal: rng.triples(count), depth });
     image.metadata.set("scene", "scenes/cornell.toml");
     image.metadata.set("seed", 42);
     image.metadata.set("author", "Ærøskøbing ✓ 日本");
     image.metadata.set("empty", "");
-    image
-        .metadata
-        .set("compression", "this name is EXR's own, too");
+    image.metadata.set("compression", "this name is EXR's own, too");
     image
 }
 

@@ -21,17 +21,8 @@ enum Format {
 }
 
 fn format_of(path: &Path) -> Result<Format, ImageError> {
-    let extension = path
-        .extension()
-        .unwrap_or_default()
-        .to_string_lossy()
-        .to_lowercase();
-    let unknown = |found| {
-        Err(ImageError::UnknownExtension {
-            path: path.into(),
-            found,
-        })
-    };
+    let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    let unknown = |found| Err(ImageError::UnknownExtension { path: path.into(), found });
     match extension.as_str() {
         "exr" => Ok(Format::Exr),
         "png" => Ok(Format::Png),
@@ -44,22 +35,14 @@ fn format_of(path: &Path) -> Result<Format, ImageError> {
 pub fn write_image(path: &Path, image: &Image, options: &WriteOptions) -> Result<(), ImageError> {
     let format = format_of(path)?;
     if let Some(list) = image.malformed() {
-        let reason = format!(
-            "image list \"{list}\" does not match its {}x{} pixels",
-            image.width, image.height
-        );
-        return Err(ImageError::Encode {
-            path: path.into(),
-            reason,
-        });
+        let reason =
+            format!("image list \"{list}\" does not match its {}x{} pixels", image.width, image.height);
+        return Err(ImageError::Encode { path: path.into(), reason });
     }
     let mut draft = Draft::new(path)?;
     let encoded = encode(&mut draft.writer, format, image, options);
     encoded.map_err(|error| error.at(path))?;
-    draft.publish().map_err(|source| ImageError::Write {
-        path: path.into(),
-        source,
-    })
+    draft.publish().map_err(|source| ImageError::Write { path: path.into(), source })
 }
 
 fn encode(
@@ -91,14 +74,8 @@ pub(super) enum EncodeError {
 impl EncodeError {
     fn at(self, path: &Path) -> ImageError {
         match self {
-            EncodeError::Io(source) => ImageError::Write {
-                path: path.into(),
-                source,
-            },
-            EncodeError::Format(reason) => ImageError::Encode {
-                path: path.into(),
-                reason,
-            },
+            EncodeError::Io(source) => ImageError::Write { path: path.into(), source },
+            EncodeError::Format(reason) => ImageError::Encode { path: path.into(), reason },
         }
     }
 }
@@ -127,13 +104,8 @@ impl Draft {
         if !folder.is_dir() {
             return Err(ImageError::NotAFolder { path, folder: at });
         }
-        let (draft, file) =
-            create_beside(folder).map_err(|source| ImageError::Write { path, source })?;
-        Ok(Draft {
-            target,
-            draft,
-            writer: BufWriter::new(file),
-        })
+        let (draft, file) = create_beside(folder).map_err(|source| ImageError::Write { path, source })?;
+        Ok(Draft { target, draft, writer: BufWriter::new(file) })
     }
 
     /// Everything on disk, then the name: after a crash the target is the old image or the new one.

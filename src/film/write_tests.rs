@@ -11,10 +11,7 @@ fn folder() -> tempfile::TempDir {
 }
 
 fn names(folder: &Path) -> Vec<String> {
-    fs::read_dir(folder)
-        .unwrap()
-        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
-        .collect()
+    fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect()
 }
 
 fn write(path: &Path, image: &Image) -> Result<(), ImageError> {
@@ -31,11 +28,7 @@ fn exr_round_trip_keeps_every_layer_bit_for_bit() {
         let back = read_image(&path).unwrap();
         assert_eq!(bits(&back.rgb), bits(&image.rgb));
         assert_eq!(back, image);
-        let keys: Vec<_> = back
-            .metadata
-            .iter()
-            .map(|(key, _)| key.to_string())
-            .collect();
+        let keys: Vec<_> = back.metadata.iter().map(|(key, _)| key.to_string()).collect();
         assert_eq!(keys, ["scene", "seed", "author", "empty", "compression"]);
     }
 }
@@ -70,27 +63,16 @@ fn exr_without_layers_reads_back_without_layers() {
 fn png_round_trip_is_within_half_a_step_and_keeps_text() {
     let dir = folder();
     let path = dir.path().join("image.png");
-    let mut image = Image::new(
-        256,
-        1,
-        (0..256).map(|i| [i as f32 / 255.0, 2.0, -1.0]).collect(),
-    );
+    let mut image = Image::new(256, 1, (0..256).map(|i| [i as f32 / 255.0, 2.0, -1.0]).collect());
     image.metadata.set("seed", 7);
     image.metadata.set("author", "日本");
     write(&path, &image).unwrap();
     let back = read_image(&path).unwrap();
     for (a, b) in image.rgb.iter().zip(&back.rgb) {
-        let step = |v: f32| {
-            (
-                super::super::linear_to_srgb(v.clamp(0.0, 1.0)) * 255.0,
-                0.501,
-            )
-        };
+        let step = |v: f32| (super::super::linear_to_srgb(v.clamp(0.0, 1.0)) * 255.0, 0.501);
         assert!((0..3).all(|c| (step(a[c]).0 - step(b[c]).0).abs() < step(a[c]).1));
     }
-    let reader = png::Decoder::new(Cursor::new(fs::read(&path).unwrap()))
-        .read_info()
-        .unwrap();
+    let reader = png::Decoder::new(Cursor::new(fs::read(&path).unwrap())).read_info().unwrap();
     assert_eq!(reader.info().uncompressed_latin1_text[0].text, "7");
     assert_eq!(reader.info().utf8_text[0].get_text().unwrap(), "日本");
     assert!(reader.info().srgb.is_some());
@@ -101,12 +83,7 @@ fn one_stop_of_exposure_doubles_the_light() {
     let dir = folder();
     let (a, b) = (dir.path().join("a.png"), dir.path().join("b.png"));
     write(&a, &Image::new(1, 1, vec![[0.5, 0.25, 0.125]])).unwrap();
-    write_image(
-        &b,
-        &Image::new(1, 1, vec![[0.25, 0.125, 0.0625]]),
-        &WriteOptions { exposure: 1.0 },
-    )
-    .unwrap();
+    write_image(&b, &Image::new(1, 1, vec![[0.25, 0.125, 0.0625]]), &WriteOptions { exposure: 1.0 }).unwrap();
     assert_eq!(read_image(&a).unwrap().rgb, read_image(&b).unwrap().rgb);
 }
 
@@ -129,10 +106,7 @@ fn a_failed_write_keeps_the_older_image_and_leaves_nothing_behind() {
     let mut broken = full_image(8, 8);
     broken.samples = Some(vec![1.0; 3]);
     let error = write(&path, &broken).unwrap_err().to_string();
-    assert!(
-        error.contains("\"samples\" does not match its 8x8 pixels"),
-        "{error}"
-    );
+    assert!(error.contains("\"samples\" does not match its 8x8 pixels"), "{error}");
     drop(Draft::new(&path).unwrap());
     assert_eq!(fs::read(&path).unwrap(), before);
     assert_eq!(names(dir.path()), ["image.exr"]);
@@ -166,27 +140,16 @@ fn a_full_disk_is_an_error_wherever_it_strikes() {
     for format in [Format::Exr, Format::Png] {
         for room in [0, 3, 50, 400, 1000, 4000] {
             let mut disk = SmallDisk(Cursor::new(Vec::new()), room);
-            let error = encode(
-                &mut disk,
-                format,
-                &full_image(60, 60),
-                &WriteOptions::default(),
-            )
-            .unwrap_err();
+            let error = encode(&mut disk, format, &full_image(60, 60), &WriteOptions::default()).unwrap_err();
             let message = error.at(Path::new("x.exr")).to_string();
-            assert!(
-                message.contains("free some space or choose another -o"),
-                "{message}"
-            );
+            assert!(message.contains("free some space or choose another -o"), "{message}");
         }
     }
 }
 
 #[test]
 fn a_missing_folder_is_named_with_its_remedy() {
-    let error = check_writable(Path::new("no/such/folder/y.exr"))
-        .unwrap_err()
-        .to_string();
+    let error = check_writable(Path::new("no/such/folder/y.exr")).unwrap_err().to_string();
     assert_eq!(
         error,
         "cannot write \"no/such/folder/y.exr\": folder \"no/such/folder\" does not exist; create it or choose another -o"

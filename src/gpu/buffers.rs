@@ -12,13 +12,7 @@ pub struct Buffers {
 
 impl Buffers {
     /// A buffer of `size` bytes, refused with a clear error where the adapter can't bind it.
-    pub fn create(
-        &mut self,
-        gpu: &Gpu,
-        name: &str,
-        size: u64,
-        usage: BufferUsages,
-    ) -> Result<(), GpuError> {
+    pub fn create(&mut self, gpu: &Gpu, name: &str, size: u64, usage: BufferUsages) -> Result<(), GpuError> {
         let size = size.max(16).next_multiple_of(16);
         let limit = gpu.summary.max_binding.min(gpu.summary.max_buffer);
         if usage.contains(BufferUsages::STORAGE) && size > limit {

@@ -1,7 +1,7 @@
 //! Adapters, the device and its failures.
 
-use super::kernel::Kernel;
 use super::error::GpuError;
+use super::kernel::Kernel;
 use std::sync::{Arc, Mutex};
 use wgpu::{Adapter, DeviceType, Features};
 
@@ -39,9 +39,7 @@ fn instance() -> wgpu::Instance {
 
 fn adapters() -> Vec<Adapter> {
     let mut adapters = pollster::block_on(instance().enumerate_adapters(wgpu::Backends::all()));
-    adapters.retain(|a| {
-        a.get_downlevel_capabilities().flags.contains(wgpu::DownlevelFlags::COMPUTE_SHADERS)
-    });
+    adapters.retain(|a| a.get_downlevel_capabilities().flags.contains(wgpu::DownlevelFlags::COMPUTE_SHADERS));
     adapters.sort_by_key(|a| match a.get_info().device_type {
         DeviceType::DiscreteGpu => 0,
         DeviceType::VirtualGpu => 1,
@@ -77,12 +75,12 @@ impl Gpu {
     pub fn open(name: Option<&str>) -> Result<Gpu, GpuError> {
         let all = adapters();
         let wanted = name.unwrap_or("").to_lowercase();
-        let adapter = all
-            .iter()
-            .find(|a| a.get_info().name.to_lowercase().contains(&wanted))
-            .ok_or_else(|| GpuError::NoAdapter {
-                wanted: name.map(str::to_string),
-                found: all.iter().map(|a| a.get_info().name).collect(),
+        let adapter =
+            all.iter().find(|a| a.get_info().name.to_lowercase().contains(&wanted)).ok_or_else(|| {
+                GpuError::NoAdapter {
+                    wanted: name.map(str::to_string),
+                    found: all.iter().map(|a| a.get_info().name).collect(),
+                }
             })?;
         let summary = summarize(adapter);
         let descriptor = wgpu::DeviceDescriptor {
@@ -109,10 +107,13 @@ impl Gpu {
         device.on_uncaptured_error(Arc::new(move |error| {
             let reason = error.to_string();
             let adapter = name.clone();
-            keep(&slot, match error {
-                wgpu::Error::OutOfMemory { .. } => GpuError::OutOfMemory { adapter, reason },
-                _ => GpuError::Device { adapter, reason },
-            });
+            keep(
+                &slot,
+                match error {
+                    wgpu::Error::OutOfMemory { .. } => GpuError::OutOfMemory { adapter, reason },
+                    _ => GpuError::Device { adapter, reason },
+                },
+            );
         }));
         let (slot, name) = (failure.clone(), adapter.to_string());
         device.set_device_lost_callback(move |reason, message| {
@@ -134,10 +135,9 @@ impl Gpu {
     pub fn wait(&self) -> Result<(), GpuError> {
         let waited = self.device.poll(wgpu::PollType::wait_indefinitely());
         self.check()?;
-        waited.map(|_| ()).map_err(|e| GpuError::DeviceLost {
-            adapter: self.summary.name.clone(),
-            reason: e.to_string(),
-        })
+        waited
+            .map(|_| ())
+            .map_err(|e| GpuError::DeviceLost { adapter: self.summary.name.clone(), reason: e.to_string() })
     }
 
     /// Compiles a linked kernel.

@@ -7,17 +7,23 @@ pub enum GpuError {
     NoAdapter { wanted: Option<String>, found: Vec<String> },
     #[error("GPU \"{adapter}\": {reason}; try --engine cpu")]
     Device { adapter: String, reason: String },
-    #[error("GPU \"{adapter}\" was lost: {reason}; what was rendered before is kept; a driver reset is the usual cause")]
+    #[error(
+        "GPU \"{adapter}\" was lost: {reason}; what was rendered before is kept; a driver reset is the usual cause"
+    )]
     DeviceLost { adapter: String, reason: String },
     #[error("GPU \"{adapter}\" is out of memory: {reason}; choose a smaller --size or --pool")]
     OutOfMemory { adapter: String, reason: String },
-    #[error("GPU \"{adapter}\" binds at most {limit} bytes, but buffer \"{buffer}\" needs {bytes}; choose a smaller --size or --pool, or --engine cpu")]
+    #[error(
+        "GPU \"{adapter}\" binds at most {limit} bytes, but buffer \"{buffer}\" needs {bytes}; choose a smaller --size or --pool, or --engine cpu"
+    )]
     BufferTooLarge { adapter: String, buffer: String, bytes: u64, limit: u64 },
     #[error("kernel {kernel}: {reason}")]
     Kernel { kernel: String, reason: String },
     #[error(transparent)]
     Link(#[from] super::link::LinkError),
-    #[error("queue overflow in {queues}: rays would have been lost, so the batch was not used; this is a bug in qtracer")]
+    #[error(
+        "queue overflow in {queues}: rays would have been lost, so the batch was not used; this is a bug in qtracer"
+    )]
     QueueOverflow { queues: String },
 }
 

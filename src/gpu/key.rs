@@ -2,9 +2,7 @@
 //! is decided by this key alone, which depends on the scene and the options and on nothing else.
 
 use crate::random::Sampler;
-use crate::scene::compiled::{
-    CompiledScene, KIND_DIELECTRIC, KIND_DIFFUSE, KIND_GLOSSY, KIND_MIRROR, KINDS,
-};
+use crate::scene::compiled::{CompiledScene, KIND_DIELECTRIC, KIND_DIFFUSE, KIND_GLOSSY, KIND_MIRROR, KINDS};
 use std::fmt;
 
 /// Names of the material kinds, by number.
@@ -109,8 +107,7 @@ fn non_delta(kinds: &[bool; KINDS]) -> bool {
 
 impl fmt::Display for KernelKey {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let on: Vec<&str> =
-            self.flags().iter().filter(|(_, on)| *on).map(|(name, _)| *name).collect();
+        let on: Vec<&str> = self.flags().iter().filter(|(_, on)| *on).map(|(name, _)| *name).collect();
         f.write_str(&on.join("+"))
     }
 }

@@ -57,11 +57,7 @@ struct Draft {
 #[derive(Clone, Copy, Debug)]
 enum Outline {
     Plain(Geometry),
-    Box {
-        center: DVec3,
-        size: DVec3,
-        rotate_y_deg: f64,
-    },
+    Box { center: DVec3, size: DVec3, rotate_y_deg: f64 },
 }
 
 impl Scene {
@@ -71,24 +67,13 @@ impl Scene {
         let scene = Scene {
             name: name.into(),
             description: String::new(),
-            camera: Camera {
-                origin,
-                target,
-                up,
-                fov_y_deg: 40.0,
-                width: 512,
-                height: 512,
-            },
+            camera: Camera { origin, target, up, fov_y_deg: 40.0, width: 512, height: 512 },
             environment: DVec3::ZERO,
             materials: Vec::new(),
             shapes: Vec::new(),
             defaults: Defaults::default(),
         };
-        SceneBuilder {
-            scene,
-            has_camera: false,
-            shapes: Vec::new(),
-        }
+        SceneBuilder { scene, has_camera: false, shapes: Vec::new() }
     }
 }
 
@@ -100,15 +85,9 @@ impl SceneBuilder {
     }
 
     /// Where to look from and to, and the full vertical angle in degrees. Up is +y unless [`up`](Self::up) says else.
-    pub fn camera(
-        mut self,
-        origin: impl Into<DVec3>,
-        target: impl Into<DVec3>,
-        fov_y_deg: f64,
-    ) -> Self {
+    pub fn camera(mut self, origin: impl Into<DVec3>, target: impl Into<DVec3>, fov_y_deg: f64) -> Self {
         let camera = &mut self.scene.camera;
-        (camera.origin, camera.target, camera.fov_y_deg) =
-            (origin.into(), target.into(), fov_y_deg);
+        (camera.origin, camera.target, camera.fov_y_deg) = (origin.into(), target.into(), fov_y_deg);
         self.has_camera = true;
         self
     }
@@ -139,47 +118,20 @@ impl SceneBuilder {
 
     /// Defines a material; `name` replaces any it had.
     pub fn material(mut self, name: impl Into<String>, material: Material) -> Self {
-        self.scene.materials.push(Material {
-            name: name.into(),
-            ..material
-        });
+        self.scene.materials.push(Material { name: name.into(), ..material });
         self
     }
 
     /// Adds a sphere with outward normals.
-    pub fn sphere(
-        self,
-        center: impl Into<DVec3>,
-        radius: f64,
-        material: impl Into<String>,
-    ) -> Self {
+    pub fn sphere(self, center: impl Into<DVec3>, radius: f64, material: impl Into<String>) -> Self {
         let center = center.into();
-        self.shape(
-            Outline::Plain(Geometry::Sphere {
-                center,
-                radius,
-                inward: false,
-            }),
-            material,
-        )
+        self.shape(Outline::Plain(Geometry::Sphere { center, radius, inward: false }), material)
     }
 
     /// Adds a sphere that emits inwards.
-    pub fn inward_sphere(
-        self,
-        center: impl Into<DVec3>,
-        radius: f64,
-        material: impl Into<String>,
-    ) -> Self {
+    pub fn inward_sphere(self, center: impl Into<DVec3>, radius: f64, material: impl Into<String>) -> Self {
         let center = center.into();
-        self.shape(
-            Outline::Plain(Geometry::Sphere {
-                center,
-                radius,
-                inward: true,
-            }),
-            material,
-        )
+        self.shape(Outline::Plain(Geometry::Sphere { center, radius, inward: true }), material)
     }
 
     /// Adds a parallelogram with outward normal e1 × e2.
@@ -203,14 +155,7 @@ impl SceneBuilder {
         material: impl Into<String>,
     ) -> Self {
         let (center, size) = (center.into(), size.into());
-        self.shape(
-            Outline::Box {
-                center,
-                size,
-                rotate_y_deg,
-            },
-            material,
-        )
+        self.shape(Outline::Box { center, size, rotate_y_deg }, material)
     }
 
     /// Names the shape added last, for messages; does nothing before the first.
@@ -226,16 +171,10 @@ impl SceneBuilder {
     /// # Errors
     /// As [`Scene::validate`], and for a missing camera or unknown material names.
     pub fn build(self) -> Result<Scene, SceneError> {
-        let Self {
-            mut scene,
-            has_camera,
-            shapes,
-        } = self;
+        let Self { mut scene, has_camera, shapes } = self;
         if !has_camera {
-            return Err(Fault::from(
-                "is missing; call camera(origin, target, fov_y_deg)".to_owned(),
-            )
-            .of("camera", None));
+            return Err(Fault::from("is missing; call camera(origin, target, fov_y_deg)".to_owned())
+                .of("camera", None));
         }
         let names = scene
             .materials
@@ -245,8 +184,7 @@ impl SceneBuilder {
             .collect();
         for (index, draft) in shapes.into_iter().enumerate() {
             let object = shape_label(index, draft.name.as_deref());
-            let (material, sides) =
-                resolve(&draft, &names).map_err(|fault| fault.of(&object, None))?;
+            let (material, sides) = resolve(&draft, &names).map_err(|fault| fault.of(&object, None))?;
             scene.shapes.extend(sides.into_iter().map(|geometry| Shape {
                 name: draft.name.clone(),
                 material,
@@ -258,11 +196,7 @@ impl SceneBuilder {
     }
 
     fn shape(mut self, outline: Outline, material: impl Into<String>) -> Self {
-        self.shapes.push(Draft {
-            name: None,
-            material: material.into(),
-            outline,
-        });
+        self.shapes.push(Draft { name: None, material: material.into(), outline });
         self
     }
 }
@@ -275,11 +209,7 @@ fn resolve(draft: &Draft, names: &MaterialNames) -> Result<(usize, Vec<Geometry>
             validate::geometry(&geometry)?;
             vec![geometry]
         }
-        Outline::Box {
-            center,
-            size,
-            rotate_y_deg,
-        } => {
+        Outline::Box { center, size, rotate_y_deg } => {
             validate::boxed(center, size, rotate_y_deg)?;
             box_quads(center, size, rotate_y_deg).to_vec()
         }

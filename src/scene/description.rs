@@ -11,15 +11,7 @@ use super::fields::Fields;
 use super::validate::{self, material_label, shape_label};
 use super::{Camera, Defaults, Geometry, Material, MaterialKind, Scene, Shape};
 
-const TOP_KEYS: [&str; 7] = [
-    "name",
-    "description",
-    "camera",
-    "environment",
-    "render",
-    "materials",
-    "shapes",
-];
+const TOP_KEYS: [&str; 7] = ["name", "description", "camera", "environment", "render", "materials", "shapes"];
 const MATERIAL_TYPES: [&str; 4] = ["diffuse", "mirror", "glossy", "dielectric"];
 const SHAPE_TYPES: [&str; 3] = ["sphere", "quad", "box"];
 
@@ -31,11 +23,8 @@ pub(super) fn scene(root: &Node) -> Result<Scene, SceneError> {
     let top = Fields::of(root).map_err(|fault| fault.of("scene", root.line))?;
     let (name, description) = heading(&top).map_err(|fault| fault.of("scene", root.line))?;
     let materials = materials(top.node("materials"))?;
-    let names = materials
-        .iter()
-        .enumerate()
-        .map(|(index, material)| (material.name.clone(), index))
-        .collect();
+    let names =
+        materials.iter().enumerate().map(|(index, material)| (material.name.clone(), index)).collect();
     let scene = Scene {
         name,
         description,
@@ -58,18 +47,14 @@ fn section<T>(
     let Some(node) = top.node(key) else {
         return Ok(None);
     };
-    let value = Fields::of(node)
-        .and_then(|fields| read(&fields))
-        .map_err(|fault| fault.of(key, node.line))?;
+    let value =
+        Fields::of(node).and_then(|fields| read(&fields)).map_err(|fault| fault.of(key, node.line))?;
     Ok(Some(value))
 }
 
 fn heading(top: &Fields<'_>) -> Result<(String, String), Fault> {
     top.only(&TOP_KEYS)?;
-    Ok((
-        top.need("name")?,
-        top.get("description")?.unwrap_or_default(),
-    ))
+    Ok((top.need("name")?, top.get("description")?.unwrap_or_default()))
 }
 
 fn no_camera() -> SceneError {
@@ -116,10 +101,7 @@ fn materials(node: Option<&Node>) -> Result<Vec<Material>, SceneError> {
         return Ok(Vec::new());
     };
     let Value::Table(table) = &node.value else {
-        let problem = format!(
-            "must be tables such as [materials.white], not {}",
-            node.describe()
-        );
+        let problem = format!("must be tables such as [materials.white], not {}", node.describe());
         return Err(Fault::from(problem).of("materials", node.line));
     };
     let read = |(name, node): (&String, &Node)| {
@@ -132,11 +114,7 @@ fn material(name: &str, node: &Node) -> Result<Material, Fault> {
     let fields = Fields::of(node)?;
     let kind = material_kind(&fields)?;
     let emission = fields.get("emission")?.unwrap_or(DVec3::ZERO);
-    let material = Material {
-        name: name.to_owned(),
-        kind,
-        emission,
-    };
+    let material = Material { name: name.to_owned(), kind, emission };
     validate::material(&material).map_err(|problem| fields.broken(problem))?;
     Ok(material)
 }
@@ -146,9 +124,7 @@ fn material_kind(fields: &Fields<'_>) -> Result<MaterialKind, Fault> {
     match kind.as_str() {
         "diffuse" => {
             fields.only(&["type", "color", "emission"])?;
-            Ok(MaterialKind::Diffuse {
-                color: fields.need("color")?,
-            })
+            Ok(MaterialKind::Diffuse { color: fields.need("color")? })
         }
         "mirror" => {
             fields.only(&["type", "color", "level", "emission"])?;
@@ -159,10 +135,7 @@ fn material_kind(fields: &Fields<'_>) -> Result<MaterialKind, Fault> {
         }
         "glossy" => {
             fields.only(&["type", "color", "exponent", "emission"])?;
-            Ok(MaterialKind::Glossy {
-                color: fields.need("color")?,
-                exponent: fields.need("exponent")?,
-            })
+            Ok(MaterialKind::Glossy { color: fields.need("color")?, exponent: fields.need("exponent")? })
         }
         "dielectric" => {
             fields.only(&["type", "tint", "ior", "emission"])?;
@@ -185,8 +158,8 @@ fn shapes(node: Option<&Node>, names: &MaterialNames) -> Result<Vec<Shape>, Scen
     };
     let mut shapes = Vec::with_capacity(list.len());
     for (index, node) in list.iter().enumerate() {
-        let sides = shape(node, names)
-            .map_err(|fault| fault.of(&shape_label(index, shape_name(node)), node.line))?;
+        let sides =
+            shape(node, names).map_err(|fault| fault.of(&shape_label(index, shape_name(node)), node.line))?;
         shapes.extend(sides);
     }
     Ok(shapes)
@@ -210,14 +183,7 @@ fn shape(node: &Node, names: &MaterialNames) -> Result<Vec<Shape>, Fault> {
     let wanted: String = fields.need("material")?;
     let line = fields.node("material").and_then(|node| node.line);
     let material = material_index(&wanted, names).map_err(|problem| Fault::new(line, problem))?;
-    Ok(sides
-        .into_iter()
-        .map(|geometry| Shape {
-            name: name.clone(),
-            material,
-            geometry,
-        })
-        .collect())
+    Ok(sides.into_iter().map(|geometry| Shape { name: name.clone(), material, geometry }).collect())
 }
 
 fn geometry(fields: &Fields<'_>) -> Result<Vec<Geometry>, Fault> {
@@ -226,19 +192,11 @@ fn geometry(fields: &Fields<'_>) -> Result<Vec<Geometry>, Fault> {
         "sphere" => {
             fields.only(&["type", "name", "material", "center", "radius", "inward"])?;
             let inward = fields.get("inward")?.unwrap_or(false);
-            Geometry::Sphere {
-                center: fields.need("center")?,
-                radius: fields.need("radius")?,
-                inward,
-            }
+            Geometry::Sphere { center: fields.need("center")?, radius: fields.need("radius")?, inward }
         }
         "quad" => {
             fields.only(&["type", "name", "material", "corner", "e1", "e2"])?;
-            Geometry::Quad {
-                corner: fields.need("corner")?,
-                e1: fields.need("e1")?,
-                e2: fields.need("e2")?,
-            }
+            Geometry::Quad { corner: fields.need("corner")?, e1: fields.need("e1")?, e2: fields.need("e2")? }
         }
         "box" => return boxed(fields),
         other => return Err(unknown_type(fields, other, &SHAPE_TYPES)),
@@ -258,11 +216,7 @@ fn boxed(fields: &Fields<'_>) -> Result<Vec<Geometry>, Fault> {
 /// The index of a material, or which name may have been meant.
 pub(super) fn material_index(name: &str, names: &MaterialNames) -> Result<usize, String> {
     names.get(name).copied().ok_or_else(|| {
-        format!(
-            "unknown material {}{}",
-            quoted(name),
-            suggestion(name, names.keys().map(String::as_str))
-        )
+        format!("unknown material {}{}", quoted(name), suggestion(name, names.keys().map(String::as_str)))
     })
 }
 

@@ -39,19 +39,14 @@ impl Node {
             place: Place::at(error.span().map(|span| lines.number(span.start))),
             problem: format!("not valid TOML: {}", error.message()),
         })?;
-        Ok(Self {
-            value: Value::Table(toml_table(table.into_inner(), &lines)),
-            line: None,
-        })
+        Ok(Self { value: Value::Table(toml_table(table.into_inner(), &lines)), line: None })
     }
 
     /// Parses a JSON document; unlike most readers, refuses repeated keys.
     pub fn from_json(text: &str) -> Result<Self, SceneError> {
         serde_json::from_str(text).map_err(|error| {
             let message = error.to_string();
-            let message = message
-                .rsplit_once(" at line ")
-                .map_or(message.as_str(), |(head, _)| head);
+            let message = message.rsplit_once(" at line ").map_or(message.as_str(), |(head, _)| head);
             SceneError::Syntax {
                 place: Place::at(Some(error.line()).filter(|&line| line > 0)),
                 problem: format!("not valid JSON: {message}"),
@@ -78,13 +73,7 @@ struct Lines(Vec<usize>);
 
 impl Lines {
     fn of(text: &str) -> Self {
-        Self(
-            text.bytes()
-                .enumerate()
-                .filter(|&(_, byte)| byte == b'\n')
-                .map(|(at, _)| at + 1)
-                .collect(),
-        )
+        Self(text.bytes().enumerate().filter(|&(_, byte)| byte == b'\n').map(|(at, _)| at + 1).collect())
     }
 
     /// The line of a byte, from 1.
@@ -94,10 +83,7 @@ impl Lines {
 }
 
 fn toml_table(table: DeTable<'_>, lines: &Lines) -> Table {
-    table
-        .into_iter()
-        .map(|(key, value)| (key.into_inner().into_owned(), toml_node(value, lines)))
-        .collect()
+    table.into_iter().map(|(key, value)| (key.into_inner().into_owned(), toml_node(value, lines))).collect()
 }
 
 fn toml_node(spanned: Spanned<DeValue<'_>>, lines: &Lines) -> Node {
@@ -108,12 +94,7 @@ fn toml_node(spanned: Spanned<DeValue<'_>>, lines: &Lines) -> Node {
         DeValue::Float(number) => Value::Number(number.as_str().parse().unwrap_or(f64::NAN)),
         DeValue::Boolean(flag) => Value::Flag(flag),
         DeValue::Datetime(_) => Value::Other("a date"),
-        DeValue::Array(items) => Value::List(
-            items
-                .into_iter()
-                .map(|item| toml_node(item, lines))
-                .collect(),
-        ),
+        DeValue::Array(items) => Value::List(items.into_iter().map(|item| toml_node(item, lines)).collect()),
         DeValue::Table(table) => Value::Table(toml_table(table, lines)),
     };
     Node { value, line }
@@ -121,8 +102,7 @@ fn toml_node(spanned: Spanned<DeValue<'_>>, lines: &Lines) -> Node {
 
 /// Integers beyond 128 bits become infinite, which validation refuses.
 fn integer(number: &DeInteger<'_>) -> f64 {
-    i128::from_str_radix(number.as_str(), number.radix())
-        .map_or(f64::INFINITY, |integer| integer as f64)
+    i128::from_str_radix(number.as_str(), number.radix()).map_or(f64::INFINITY, |integer| integer as f64)
 }
 
 impl<'de> Deserialize<'de> for Node {

@@ -91,10 +91,7 @@ pub(super) struct Fault {
 
 impl Fault {
     pub fn new(line: Option<usize>, problem: impl Into<String>) -> Self {
-        Self {
-            line,
-            problem: problem.into(),
-        }
+        Self { line, problem: problem.into() }
     }
 
     /// The error for `object`, which starts at `line`.
@@ -128,22 +125,11 @@ pub(super) fn suggestion<'a>(given: &str, known: impl IntoIterator<Item = &'a st
     let given: String = given.chars().take(100).collect::<String>().to_lowercase();
     let known: Vec<&str> = known.into_iter().collect();
     let close = |name: &&str| strsim::jaro_winkler(&given, &name.to_lowercase());
-    let nearest = known
-        .iter()
-        .copied()
-        .map(|name| (close(&name), name))
-        .max_by(|a, b| a.0.total_cmp(&b.0));
+    let nearest = known.iter().copied().map(|name| (close(&name), name)).max_by(|a, b| a.0.total_cmp(&b.0));
     match nearest {
         Some((likeness, name)) if likeness > 0.75 => format!("; did you mean {}?", quoted(name)),
         Some(_) if known.len() <= LONGEST_LIST => {
-            format!(
-                "; use one of {}",
-                known
-                    .iter()
-                    .map(|name| quoted(name))
-                    .collect::<Vec<_>>()
-                    .join(", ")
-            )
+            format!("; use one of {}", known.iter().map(|name| quoted(name)).collect::<Vec<_>>().join(", "))
         }
         Some(_) => String::new(),
         None => "; none is defined".to_owned(),

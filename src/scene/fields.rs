@@ -15,27 +15,17 @@ impl<'a> Fields<'a> {
     pub fn of(node: &'a Node) -> Result<Self, Fault> {
         match &node.value {
             Value::Table(table) => Ok(Self { table }),
-            _ => Err(Fault::new(
-                node.line,
-                format!("must be a table of keys, not {}", node.describe()),
-            )),
+            _ => Err(Fault::new(node.line, format!("must be a table of keys, not {}", node.describe()))),
         }
     }
 
     /// Refuses keys that are not `known`, suggesting the nearest.
     pub fn only(&self, known: &[&str]) -> Result<(), Fault> {
-        match self
-            .table
-            .iter()
-            .find(|(key, _)| !known.contains(&key.as_str()))
-        {
+        match self.table.iter().find(|(key, _)| !known.contains(&key.as_str())) {
             None => Ok(()),
             Some((key, node)) => {
                 let hint = suggestion(key, known.iter().copied());
-                Err(Fault::new(
-                    node.line,
-                    format!("unknown key {}{hint}", quoted(key)),
-                ))
+                Err(Fault::new(node.line, format!("unknown key {}{hint}", quoted(key))))
             }
         }
     }
@@ -58,17 +48,15 @@ impl<'a> Fields<'a> {
         };
         match T::from_node(node) {
             Some(value) => Ok(Some(value)),
-            None => Err(Fault::new(
-                node.line,
-                format!("{key} must be {}, not {}", T::EXPECTED, node.describe()),
-            )),
+            None => {
+                Err(Fault::new(node.line, format!("{key} must be {}, not {}", T::EXPECTED, node.describe())))
+            }
         }
     }
 
     /// A value that must be there.
     pub fn need<T: FromNode>(&self, key: &str) -> Result<T, Fault> {
-        self.get(key)?
-            .ok_or_else(|| Fault::from(format!("{key} is missing; give {}", T::EXPECTED)))
+        self.get(key)?.ok_or_else(|| Fault::from(format!("{key} is missing; give {}", T::EXPECTED)))
     }
 }
 
@@ -101,11 +89,7 @@ impl FromNode for DVec3 {
         let [x, y, z] = items.as_slice() else {
             return None;
         };
-        Some(DVec3::new(
-            f64::from_node(x)?,
-            f64::from_node(y)?,
-            f64::from_node(z)?,
-        ))
+        Some(DVec3::new(f64::from_node(x)?, f64::from_node(y)?, f64::from_node(z)?))
     }
 }
 

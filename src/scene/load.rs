@@ -25,10 +25,7 @@ impl Scene {
     /// everything that [`validate`](Self::validate) refuses. Each error names the file.
     pub fn load(path: impl AsRef<Path>) -> Result<Self, SceneError> {
         let path = path.as_ref();
-        let refuse = |problem| SceneError::File {
-            path: path.to_owned(),
-            problem,
-        };
+        let refuse = |problem| SceneError::File { path: path.to_owned(), problem };
         let text = read(path).map_err(refuse)?;
         let scene = match format(path).map_err(refuse)? {
             Format::Toml => Self::from_toml(&text),
@@ -59,8 +56,7 @@ fn not_empty(text: &str) -> Result<&str, SceneError> {
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     if text.trim().is_empty() {
         return Err(
-            Fault::from("is empty; give it a name and a [camera] at least".to_owned())
-                .of("scene", None),
+            Fault::from("is empty; give it a name and a [camera] at least".to_owned()).of("scene", None)
         );
     }
     Ok(text)
@@ -72,10 +68,7 @@ fn format(path: &Path) -> Result<Format, String> {
         "toml" => Ok(Format::Toml),
         "json" => Ok(Format::Json),
         "" => Err("has no extension; scene files end in .toml or .json".to_owned()),
-        other => Err(format!(
-            "has the extension {}; scene files end in .toml or .json",
-            quoted(other)
-        )),
+        other => Err(format!("has the extension {}; scene files end in .toml or .json", quoted(other))),
     }
 }
 
@@ -90,29 +83,19 @@ fn read(path: &Path) -> Result<String, String> {
     format(path)?;
     let mut bytes = Vec::new();
     let file = File::open(path).map_err(|error| io_problem(&error))?;
-    file.take(LARGEST_FILE + 1)
-        .read_to_end(&mut bytes)
-        .map_err(|error| io_problem(&error))?;
+    file.take(LARGEST_FILE + 1).read_to_end(&mut bytes).map_err(|error| io_problem(&error))?;
     if bytes.len() as u64 > LARGEST_FILE {
-        return Err(format!(
-            "is larger than {} MiB; split the scene or describe less",
-            LARGEST_FILE >> 20
-        ));
+        return Err(format!("is larger than {} MiB; split the scene or describe less", LARGEST_FILE >> 20));
     }
     String::from_utf8(bytes).map_err(|error| {
-        format!(
-            "is not UTF-8 text (byte {}); save it as plain text",
-            error.utf8_error().valid_up_to()
-        )
+        format!("is not UTF-8 text (byte {}); save it as plain text", error.utf8_error().valid_up_to())
     })
 }
 
 fn io_problem(error: &std::io::Error) -> String {
     match error.kind() {
         ErrorKind::NotFound => "no such file; check the path".to_owned(),
-        ErrorKind::PermissionDenied => {
-            "can't be read: permission denied; check its mode".to_owned()
-        }
+        ErrorKind::PermissionDenied => "can't be read: permission denied; check its mode".to_owned(),
         _ => format!("can't be read: {error}"),
     }
 }

@@ -111,12 +111,7 @@ pub struct Defaults {
 
 impl Default for Defaults {
     fn default() -> Self {
-        Self {
-            spp: 64,
-            max_bounces: 64,
-            direct_light: true,
-            roulette: true,
-        }
+        Self { spp: 64, max_bounces: 64, direct_light: true, roulette: true }
     }
 }
 
@@ -166,9 +161,7 @@ impl MaterialKind {
     /// The colour or tint, whichever the kind has.
     pub fn color(&self) -> DVec3 {
         match *self {
-            Self::Diffuse { color } | Self::Mirror { color, .. } | Self::Glossy { color, .. } => {
-                color
-            }
+            Self::Diffuse { color } | Self::Mirror { color, .. } | Self::Glossy { color, .. } => color,
             Self::Dielectric { tint, .. } => tint,
         }
     }
@@ -177,33 +170,22 @@ impl MaterialKind {
 impl Material {
     /// A Lambertian surface. Constructors leave the name empty: [`SceneBuilder::material`] gives it.
     pub fn diffuse(color: impl Into<DVec3>) -> Self {
-        Self::of(MaterialKind::Diffuse {
-            color: color.into(),
-        })
+        Self::of(MaterialKind::Diffuse { color: color.into() })
     }
 
     /// A mirror with probability `level` (0 to 1), else Lambertian.
     pub fn mirror(color: impl Into<DVec3>, level: f64) -> Self {
-        Self::of(MaterialKind::Mirror {
-            color: color.into(),
-            level,
-        })
+        Self::of(MaterialKind::Mirror { color: color.into(), level })
     }
 
     /// A power-cosine lobe; `exponent` 0 to 1e6.
     pub fn glossy(color: impl Into<DVec3>, exponent: f64) -> Self {
-        Self::of(MaterialKind::Glossy {
-            color: color.into(),
-            exponent,
-        })
+        Self::of(MaterialKind::Glossy { color: color.into(), exponent })
     }
 
     /// Smooth glass of refractive index `ior` (1 to 10).
     pub fn dielectric(tint: impl Into<DVec3>, ior: f64) -> Self {
-        Self::of(MaterialKind::Dielectric {
-            tint: tint.into(),
-            ior,
-        })
+        Self::of(MaterialKind::Dielectric { tint: tint.into(), ior })
     }
 
     /// The same material, emitting `radiance` from the side of the outward normal.
@@ -218,11 +200,7 @@ impl Material {
     }
 
     fn of(kind: MaterialKind) -> Self {
-        Self {
-            name: String::new(),
-            kind,
-            emission: DVec3::ZERO,
-        }
+        Self { name: String::new(), kind, emission: DVec3::ZERO }
     }
 }
 

@@ -26,9 +26,8 @@ impl Scene {
     /// # Errors
     /// The first rule broken, with the object and the remedy.
     pub fn validate(&self) -> Result<(), SceneError> {
-        let named = |object: &str, check: Check| {
-            check.map_err(|problem| Fault::from(problem).of(object, None))
-        };
+        let named =
+            |object: &str, check: Check| check.map_err(|problem| Fault::from(problem).of(object, None));
         named("camera", camera(&self.camera))?;
         named("environment", light("radiance", self.environment))?;
         named("render", defaults(&self.defaults))?;
@@ -52,13 +51,7 @@ impl Scene {
 /// # Errors
 /// Zero sides, sides above 65536, and images above 2²⁸ pixels, with the bytes those would need.
 pub fn check_image_size(width: u64, height: u64) -> Result<(u32, u32), SceneError> {
-    let refuse = |problem| {
-        Err(SceneError::ImageSize {
-            width,
-            height,
-            problem,
-        })
-    };
+    let refuse = |problem| Err(SceneError::ImageSize { width, height, problem });
     let pixels = u128::from(width) * u128::from(height);
     if pixels > MOST_PIXELS && width.max(height) <= u64::from(u32::MAX) {
         let gib = (pixels * BYTES_PER_PIXEL) as f64 / f64::powi(2.0, 30);
@@ -119,9 +112,7 @@ pub(super) fn camera(camera: &Camera) -> Check {
 }
 
 pub(super) fn defaults(defaults: &Defaults) -> Check {
-    ensure(defaults.spp >= 1, || {
-        "spp is 0; take at least 1 sample per pixel".into()
-    })?;
+    ensure(defaults.spp >= 1, || "spp is 0; take at least 1 sample per pixel".into())?;
     let bounces = defaults.max_bounces;
     ensure((1..=MOST_BOUNCES).contains(&bounces), || {
         format!("max_bounces {bounces} is out of range; use 1 to {MOST_BOUNCES}")
@@ -129,9 +120,7 @@ pub(super) fn defaults(defaults: &Defaults) -> Check {
 }
 
 pub(super) fn material(material: &Material) -> Check {
-    ensure(!material.name.is_empty(), || {
-        "has no name; give it one that shapes can refer to".into()
-    })?;
+    ensure(!material.name.is_empty(), || "has no name; give it one that shapes can refer to".into())?;
     light("emission", material.emission)?;
     match material.kind {
         MaterialKind::Diffuse { color } => light("color", color),
@@ -139,9 +128,7 @@ pub(super) fn material(material: &Material) -> Check {
             light("color", color)?;
             finite("level", level)?;
             ensure((0.0..=1.0).contains(&level), || {
-                format!(
-                    "level {level} is not within 0 to 1; it is the chance of perfect reflection"
-                )
+                format!("level {level} is not within 0 to 1; it is the chance of perfect reflection")
             })
         }
         MaterialKind::Glossy { color, exponent } => {
@@ -162,15 +149,9 @@ pub(super) fn material(material: &Material) -> Check {
 
 fn refractive_index(ior: f64) -> Check {
     finite("ior", ior)?;
-    ensure(ior > 0.0, || {
-        format!("ior {ior} must be positive; glass has 1.5, water 1.33")
-    })?;
-    ensure(ior >= 1.0, || {
-        format!("ior {ior} is below 1; swap interior and exterior")
-    })?;
-    ensure(ior <= LARGEST_IOR, || {
-        format!("ior {ior} is above 10; glass has 1.5, diamond 2.4")
-    })
+    ensure(ior > 0.0, || format!("ior {ior} must be positive; glass has 1.5, water 1.33"))?;
+    ensure(ior >= 1.0, || format!("ior {ior} is below 1; swap interior and exterior"))?;
+    ensure(ior <= LARGEST_IOR, || format!("ior {ior} is above 10; glass has 1.5, diamond 2.4"))
 }
 
 /// Checks position, extent and shape; the material is not its affair.
@@ -187,28 +168,20 @@ pub(super) fn boxed(center: DVec3, size: DVec3, rotate_y_deg: f64) -> Check {
     finite_vec("size", size)?;
     finite("rotate_y_deg", rotate_y_deg)?;
     ensure(size.as_vec3().min_element() > 0.0, || {
-        format!(
-            "size {} must be positive on every axis; use a quad for something flat",
-            list(size)
-        )
+        format!("size {} must be positive on every axis; use a quad for something flat", list(size))
     })?;
     let reach = DVec3::splat(size.length());
-    finite_vec("center + size", center + reach)
-        .and_then(|()| finite_vec("center - size", center - reach))
+    finite_vec("center + size", center + reach).and_then(|()| finite_vec("center - size", center - reach))
 }
 
 fn sphere(center: DVec3, radius: f64) -> Check {
     finite_vec("center", center)?;
     finite("radius", radius)?;
-    ensure(radius != 0.0, || {
-        "radius is 0; give a positive radius or remove the sphere".into()
-    })?;
+    ensure(radius != 0.0, || "radius is 0; give a positive radius or remove the sphere".into())?;
     ensure(radius > 0.0, || {
         format!("radius {radius} is negative; use inward = true to turn a sphere inside out")
     })?;
-    ensure(radius as f32 > 0.0, || {
-        format!("radius {radius:e} is 0 as a 32-bit float; scale the scene up")
-    })?;
+    ensure(radius as f32 > 0.0, || format!("radius {radius:e} is 0 as a 32-bit float; scale the scene up"))?;
     finite_vec("center + radius", center + radius)
         .and_then(|()| finite_vec("center - radius", center - radius))
 }
@@ -224,25 +197,17 @@ fn quad(corner: DVec3, e1: DVec3, e2: DVec3) -> Check {
     }
     finite_vec("corner + e1 + e2", corner + e1 + e2)?;
     ensure(!parallel(e1, e2), || {
-        format!(
-            "edges {} and {} are parallel, so it has no area; turn one of them",
-            list(e1),
-            list(e2)
-        )
+        format!("edges {} and {} are parallel, so it has no area; turn one of them", list(e1), list(e2))
     })
 }
 
 fn material_exists(shape: &Shape, count: usize) -> Check {
     let index = shape.material;
-    ensure(index < count, || {
-        format!("material index {index} is out of range; there are {count} materials")
-    })
+    ensure(index < count, || format!("material index {index} is out of range; there are {count} materials"))
 }
 
 fn side_lengths(width: u64, height: u64) -> Check {
-    ensure(width > 0 && height > 0, || {
-        "has no pixels; make width and height 1 or more".into()
-    })?;
+    ensure(width > 0 && height > 0, || "has no pixels; make width and height 1 or more".into())?;
     ensure(width.max(height) <= LONGEST_SIDE, || {
         format!("is too large; keep each side within {LONGEST_SIDE}")
     })
@@ -252,27 +217,17 @@ fn side_lengths(width: u64, height: u64) -> Check {
 pub(super) fn light(key: &str, color: DVec3) -> Check {
     finite_vec(key, color)?;
     ensure(color.min_element() >= 0.0, || {
-        format!(
-            "{key} {} is negative; light can't be, use 0 or more",
-            list(color)
-        )
+        format!("{key} {} is negative; light can't be, use 0 or more", list(color))
     })
 }
 
 fn finite_vec(key: &str, vector: DVec3) -> Check {
-    vector
-        .to_array()
-        .into_iter()
-        .try_for_each(|number| finite(key, number))
+    vector.to_array().into_iter().try_for_each(|number| finite(key, number))
 }
 
 fn finite(key: &str, number: f64) -> Check {
-    ensure(!number.is_nan(), || {
-        format!("{key} is not a number (nan); write a finite one")
-    })?;
-    ensure(number.is_finite(), || {
-        format!("{key} is infinite; write a finite number")
-    })?;
+    ensure(!number.is_nan(), || format!("{key} is not a number (nan); write a finite one"))?;
+    ensure(number.is_finite(), || format!("{key} is infinite; write a finite number"))?;
     ensure((number as f32).is_finite(), || {
         format!(
             "{key} {number:e} is too large for a 32-bit float; stay within ±3.4e38, or scale the scene down"

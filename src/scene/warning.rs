@@ -50,15 +50,11 @@ impl Scene {
 
     fn has_light(&self) -> bool {
         let emits = |index: usize| self.materials.get(index).is_some_and(Material::is_emissive);
-        self.environment.max_element() > 0.0
-            || self.shapes.iter().any(|shape| emits(shape.material))
+        self.environment.max_element() > 0.0 || self.shapes.iter().any(|shape| emits(shape.material))
     }
 }
 
 fn albedo_warning(material: &Material) -> Option<SceneWarning> {
     let largest = material.kind.color().max_element();
-    (largest > 1.0).then(|| SceneWarning::AlbedoAboveOne {
-        material: material.name.clone(),
-        largest,
-    })
+    (largest > 1.0).then(|| SceneWarning::AlbedoAboveOne { material: material.name.clone(), largest })
 }

@@ -26,43 +26,21 @@ const MIN_EXPECTED: f64 = 5.0;
 /// A count in a cell that expects exactly 0 is impossible and gives p = 0.
 pub fn chi2_test(observed: &[u64], expected: &[f64]) -> Result<ChiSquare, StatsError> {
     if observed.len() != expected.len() {
-        return Err(StatsError::CellMismatch {
-            observed: observed.len(),
-            expected: expected.len(),
-        });
+        return Err(StatsError::CellMismatch { observed: observed.len(), expected: expected.len() });
     }
     if let Some(cell) = expected.iter().position(|e| !(e.is_finite() && *e >= 0.0)) {
-        return Err(StatsError::BadExpectation {
-            cell,
-            value: expected[cell],
-        });
+        return Err(StatsError::BadExpectation { cell, value: expected[cell] });
     }
-    let cells: Vec<(f64, f64)> = observed
-        .iter()
-        .map(|&o| o as f64)
-        .zip(expected.iter().copied())
-        .collect();
+    let cells: Vec<(f64, f64)> = observed.iter().map(|&o| o as f64).zip(expected.iter().copied()).collect();
     let impossible = cells.iter().any(|&(o, e)| o > 0.0 && e == 0.0);
     let pooled = pool(cells);
     let dof = pooled.len().saturating_sub(1);
     if impossible {
-        return Ok(ChiSquare {
-            statistic: f64::INFINITY,
-            dof,
-            p_value: 0.0,
-        });
+        return Ok(ChiSquare { statistic: f64::INFINITY, dof, p_value: 0.0 });
     }
     let statistic = pooled.iter().map(|(o, e)| (o - e) * (o - e) / e).sum();
-    let p_value = if dof == 0 {
-        1.0
-    } else {
-        chi2_survival(statistic, dof as f64)
-    };
-    Ok(ChiSquare {
-        statistic,
-        dof,
-        p_value,
-    })
+    let p_value = if dof == 0 { 1.0 } else { chi2_survival(statistic, dof as f64) };
+    Ok(ChiSquare { statistic, dof, p_value })
 }
 
 /// Joins the smallest cells until each expects at least [`MIN_EXPECTED`].
@@ -112,10 +90,7 @@ mod tests {
     #[test]
     fn small_cells_are_pooled() {
         let result = chi2_test(&[1, 1, 1, 2, 0, 100], &[1.0, 1.0, 1.0, 1.0, 1.0, 100.0]).unwrap();
-        assert_eq!(
-            (result.dof, result.statistic, result.p_value),
-            (1, 0.0, 1.0)
-        );
+        assert_eq!((result.dof, result.statistic, result.p_value), (1, 0.0, 1.0));
         assert_eq!(chi2_test(&[3], &[3.0]).unwrap().p_value, 1.0);
         assert_eq!(chi2_test(&[], &[]).unwrap().dof, 0);
     }
@@ -145,9 +120,7 @@ mod tests {
     fn uniform_counts_pass_as_often_as_promised_and_skewed_ones_fail() {
         let expected = vec![50.0; 20];
         let p = |seed, power| {
-            chi2_test(&histogram(&mut Rng::new(seed), 1000, 20, power), &expected)
-                .unwrap()
-                .p_value
+            chi2_test(&histogram(&mut Rng::new(seed), 1000, 20, power), &expected).unwrap().p_value
         };
         let alarms = (0..1000).filter(|&seed| p(seed, 1.0) < 0.05).count();
         assert!((22..=78).contains(&alarms), "{alarms} false alarms in 1000");

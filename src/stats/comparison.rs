@@ -20,11 +20,7 @@ pub struct ComparisonOptions {
 
 impl Default for ComparisonOptions {
     fn default() -> Self {
-        Self {
-            epsilon: 0.01,
-            pixels_per_degree: FLIP_PIXELS_PER_DEGREE,
-            z_test: ZTestOptions::default(),
-        }
+        Self { epsilon: 0.01, pixels_per_degree: FLIP_PIXELS_PER_DEGREE, z_test: ZTestOptions::default() }
     }
 }
 
@@ -88,33 +84,13 @@ impl fmt::Display for Comparison {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         let [r, g, b] = self.mean_ratio;
         row(f, "size", format_args!("{}x{}", self.width, self.height))?;
-        row(
-            f,
-            "relative MSE",
-            format_args!("{:.4e}", self.relative_mse.plain),
-        )?;
-        row(
-            f,
-            "  worst 0.1 % left out",
-            format_args!("{:.4e}", self.relative_mse.trimmed),
-        )?;
+        row(f, "relative MSE", format_args!("{:.4e}", self.relative_mse.plain))?;
+        row(f, "  worst 0.1 % left out", format_args!("{:.4e}", self.relative_mse.trimmed))?;
         row(f, "MSE", format_args!("{:.4e}", self.mse))?;
         row(f, "mean ratio R G B", format_args!("{r:.5} {g:.5} {b:.5}"))?;
-        row(
-            f,
-            "largest difference",
-            format_args!("{:.4e}", self.differences.max_absolute),
-        )?;
-        row(
-            f,
-            "  relative",
-            format_args!("{:.4e}", self.differences.max_relative),
-        )?;
-        row(
-            f,
-            "pixels within 1e-3",
-            format_args!("{:.2} %", 100.0 * self.differences.share_within_1e3),
-        )?;
+        row(f, "largest difference", format_args!("{:.4e}", self.differences.max_absolute))?;
+        row(f, "  relative", format_args!("{:.4e}", self.differences.max_relative))?;
+        row(f, "pixels within 1e-3", format_args!("{:.2} %", 100.0 * self.differences.share_within_1e3))?;
         row(f, "FLIP", format_args!("{:.5}", self.flip))?;
         match (&self.z_test, &self.z_test_problem) {
             (Some(report), _) => write!(f, "{report}"),
@@ -132,52 +108,26 @@ impl fmt::Display for ZReport {
             (false, false) => "  (above, not decisive)",
         };
         let family = |f: &mut fmt::Formatter, name: &str, e: &Extreme, decisive: bool| {
-            let (channel, mark) = (
-                ["R", "G", "B"][e.channel.min(2)],
-                verdict(e.passes(), decisive),
-            );
+            let (channel, mark) = (["R", "G", "B"][e.channel.min(2)], verdict(e.passes(), decisive));
             let (z, limit) = (e.max_abs_z, e.threshold);
-            row(
-                f,
-                name,
-                format_args!(
-                    "{z:<8.2} limit {limit:.2}  at ({}, {}) {channel}{mark}",
-                    e.x, e.y
-                ),
-            )
+            row(f, name, format_args!("{z:<8.2} limit {limit:.2}  at ({}, {}) {channel}{mark}", e.x, e.y))
         };
         row(
             f,
             "z-test",
-            format_args!(
-                "{} at {} %",
-                if self.passes { "PASS" } else { "FAIL" },
-                100.0 * self.alpha
-            ),
+            format_args!("{} at {} %", if self.passes { "PASS" } else { "FAIL" }, 100.0 * self.alpha),
         )?;
         family(f, "  max |z| of blocks", &self.blocks, true)?;
         family(f, "  max |z| of means", &self.means, true)?;
-        family(
-            f,
-            "  max |z| of pixels",
-            &self.pixels.extreme,
-            self.pixels_decisive,
-        )?;
+        family(f, "  max |z| of pixels", &self.pixels.extreme, self.pixels_decisive)?;
         row(
             f,
             "  pixels above 3",
-            format_args!(
-                "{:.3} %  (0.270 % expected)",
-                100.0 * self.pixels.share_above_3
-            ),
+            format_args!("{:.3} %  (0.270 % expected)", 100.0 * self.pixels.share_above_3),
         )?;
         let (square, p) = (self.dispersion.mean_square_z, self.dispersion.p_value);
         let mark = verdict(self.dispersion.passes(), self.dispersion_decisive);
-        row(
-            f,
-            "  mean z² of blocks",
-            format_args!("{square:<8.3} p {p:.3}{mark}"),
-        )
+        row(f, "  mean z² of blocks", format_args!("{square:<8.3} p {p:.3}{mark}"))
     }
 }
 
@@ -189,8 +139,7 @@ mod tests {
     #[test]
     fn a_comparison_prints_a_table_and_serialises() {
         let (a, b) = (TestImage::noisy(1, 32, 16), TestImage::noisy(2, 32, 16));
-        let comparison =
-            Comparison::new(&a.view(), &b.view(), &ComparisonOptions::default()).unwrap();
+        let comparison = Comparison::new(&a.view(), &b.view(), &ComparisonOptions::default()).unwrap();
         assert_eq!(comparison.passes(), Some(true));
         let table = comparison.to_string();
         for word in ["relative MSE", "FLIP", "PASS at 1 %", "max |z| of blocks"] {
@@ -204,25 +153,17 @@ mod tests {
     #[test]
     fn images_without_errors_compare_without_a_z_test() {
         let (a, b) = (TestImage::noisy(1, 8, 8), TestImage::noisy(2, 8, 8));
-        let comparison =
-            Comparison::new(&a.exact(), &b.exact(), &ComparisonOptions::default()).unwrap();
+        let comparison = Comparison::new(&a.exact(), &b.exact(), &ComparisonOptions::default()).unwrap();
         assert_eq!(comparison.passes(), None);
-        assert!(
-            comparison
-                .to_string()
-                .contains("2 samples per pixel or more")
-        );
+        assert!(comparison.to_string().contains("2 samples per pixel or more"));
     }
 
     #[test]
     fn a_wrong_image_says_where_it_fails() {
         let a = TestImage::noisy(1, 32, 32).scaled(1.05);
-        let comparison = Comparison::new(
-            &a.view(),
-            &TestImage::noisy(2, 32, 32).view(),
-            &ComparisonOptions::default(),
-        )
-        .unwrap();
+        let comparison =
+            Comparison::new(&a.view(), &TestImage::noisy(2, 32, 32).view(), &ComparisonOptions::default())
+                .unwrap();
         assert!(comparison.to_string().contains("FAILS"));
         assert_eq!(comparison.passes(), Some(false));
     }

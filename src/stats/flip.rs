@@ -18,31 +18,18 @@ pub fn flip(a: &ImageView, b: &ImageView, pixels_per_degree: f64) -> Result<f64,
 }
 
 /// LDR-FLIP per pixel of two linear images, each clamped to [0, 1] as on an sRGB display. NaN counts as black.
-pub fn flip_map(
-    a: &ImageView,
-    b: &ImageView,
-    pixels_per_degree: f64,
-) -> Result<Vec<f32>, StatsError> {
+pub fn flip_map(a: &ImageView, b: &ImageView, pixels_per_degree: f64) -> Result<Vec<f32>, StatsError> {
     check_pair(a, b)?;
     if !(1.0..=1000.0).contains(&pixels_per_degree) {
         return Err(StatsError::BadPixelsPerDegree(pixels_per_degree));
     }
-    let (a, b) = (
-        Perceived::new(a, pixels_per_degree),
-        Perceived::new(b, pixels_per_degree),
-    );
-    let c_max = hyab(
-        hunt(linear_to_lab([0.0, 1.0, 0.0])),
-        hunt(linear_to_lab([0.0, 0.0, 1.0])),
-    )
-    .powf(Q_C);
+    let (a, b) = (Perceived::new(a, pixels_per_degree), Perceived::new(b, pixels_per_degree));
+    let c_max = hyab(hunt(linear_to_lab([0.0, 1.0, 0.0])), hunt(linear_to_lab([0.0, 0.0, 1.0]))).powf(Q_C);
     let pixel = |i: usize| {
         let colour = redistribute(hyab(a.lab[i], b.lab[i]).powf(Q_C), c_max);
         let edges = (a.edges[i] - b.edges[i]).abs();
         let points = (a.points[i] - b.points[i]).abs();
-        let feature = (edges.max(points) / std::f32::consts::SQRT_2)
-            .powf(Q_F)
-            .min(1.0);
+        let feature = (edges.max(points) / std::f32::consts::SQRT_2).powf(Q_F).min(1.0);
         colour.powf(1.0 - feature)
     };
     Ok((0..a.lab.len()).into_par_iter().map(pixel).collect())
@@ -58,11 +45,7 @@ fn redistribute(error: f32, max: f32) -> f32 {
     const P_C: f32 = 0.4;
     const P_T: f32 = 0.95;
     let knee = P_C * max;
-    if error < knee {
-        error * P_T / knee
-    } else {
-        P_T + (error - knee) / (max - knee) * (1.0 - P_T)
-    }
+    if error < knee { error * P_T / knee } else { P_T + (error - knee) / (max - knee) * (1.0 - P_T) }
 }
 
 /// What the eye makes of one image.
@@ -76,27 +59,19 @@ struct Perceived {
 
 impl Perceived {
     fn new(view: &ImageView, pixels_per_degree: f64) -> Self {
-        let opponent: Vec<[f32; 3]> = view
-            .rgb
-            .par_iter()
-            .map(|&rgb| xyz_to_ycxcz(linear_to_xyz(clamp(rgb))))
-            .collect();
+        let opponent: Vec<[f32; 3]> =
+            view.rgb.par_iter().map(|&rgb| xyz_to_ycxcz(linear_to_xyz(clamp(rgb)))).collect();
         let plane = |f: &(dyn Fn(&[f32; 3]) -> f32 + Sync)| Plane {
             width: view.width,
             values: opponent.par_iter().map(f).collect(),
         };
-        let filtered =
-            |channel: usize| contrast_filter(&plane(&|v| v[channel]), channel, pixels_per_degree);
+        let filtered = |channel: usize| contrast_filter(&plane(&|v| v[channel]), channel, pixels_per_degree);
         let [y, cx, cz] = [0, 1, 2].map(filtered);
-        let to_lab = |i| {
-            hunt(linear_to_lab(clamp(xyz_to_linear(ycxcz_to_xyz([
-                y[i], cx[i], cz[i],
-            ])))))
-        };
+        let to_lab = |i| hunt(linear_to_lab(clamp(xyz_to_linear(ycxcz_to_xyz([y[i], cx[i], cz[i]])))));
         let lab = (0..opponent.len()).into_par_iter().map(to_lab).collect();
         let luminance = plane(&|v| (v[0] + 16.0) / 116.0);
-        let [edges, points] = [edge_kernel, point_kernel]
-            .map(|kernel| features(&luminance, kernel, pixels_per_degree));
+        let [edges, points] =
+            [edge_kernel, point_kernel].map(|kernel| features(&luminance, kernel, pixels_per_degree));
         Self { lab, edges, points }
     }
 }
@@ -113,39 +88,28 @@ impl Plane {
         let (width, height) = (self.width, self.values.len() / self.width);
         let (rx, ry) = (along_x.len() / 2, along_y.len() / 2);
         let mut rows = vec![0.0f32; self.values.len()];
-        rows.par_chunks_mut(width)
-            .zip(self.values.par_chunks(width))
-            .for_each(|(out, row)| {
-                for (x, out) in out.iter_mut().enumerate() {
-                    let at = |k: usize| row[(x + k).saturating_sub(rx).min(width - 1)];
-                    *out = along_x
-                        .iter()
-                        .enumerate()
-                        .map(|(k, weight)| weight * at(k))
-                        .sum();
-                }
-            });
+        rows.par_chunks_mut(width).zip(self.values.par_chunks(width)).for_each(|(out, row)| {
+            for (x, out) in out.iter_mut().enumerate() {
+                let at = |k: usize| row[(x + k).saturating_sub(rx).min(width - 1)];
+                *out = along_x.iter().enumerate().map(|(k, weight)| weight * at(k)).sum();
+            }
+        });
         let mut result = vec![0.0f32; self.values.len()];
-        result
-            .par_chunks_mut(width)
-            .enumerate()
-            .for_each(|(y, out)| {
-                for (k, weight) in along_y.iter().enumerate() {
-                    let source = (y + k).saturating_sub(ry).min(height - 1) * width;
-                    out.iter_mut()
-                        .zip(&rows[source..source + width])
-                        .for_each(|(out, value)| *out += weight * value);
-                }
-            });
+        result.par_chunks_mut(width).enumerate().for_each(|(y, out)| {
+            for (k, weight) in along_y.iter().enumerate() {
+                let source = (y + k).saturating_sub(ry).min(height - 1) * width;
+                out.iter_mut()
+                    .zip(&rows[source..source + width])
+                    .for_each(|(out, value)| *out += weight * value);
+            }
+        });
         result
     }
 }
 
 /// Values of f at the integers −radius..=radius.
 fn sampled(radius: usize, f: impl Fn(f64) -> f64) -> Vec<f64> {
-    (0..=2 * radius)
-        .map(|i| f(i as f64 - radius as f64))
-        .collect()
+    (0..=2 * radius).map(|i| f(i as f64 - radius as f64)).collect()
 }
 
 fn to_f32(kernel: &[f64], scale: f64) -> Vec<f32> {
@@ -156,33 +120,20 @@ fn to_f32(kernel: &[f64], scale: f64) -> Vec<f32> {
 fn contrast_filter(plane: &Plane, channel: usize, pixels_per_degree: f64) -> Vec<f32> {
     use std::f64::consts::PI;
     const WIDEST: f64 = 0.04;
-    const GAUSSIANS: [&[(f64, f64)]; 3] = [
-        &[(1.0, 0.0047)],
-        &[(1.0, 0.0053)],
-        &[(34.1, 0.04), (13.5, 0.025)],
-    ];
+    const GAUSSIANS: [&[(f64, f64)]; 3] =
+        [&[(1.0, 0.0047)], &[(1.0, 0.0053)], &[(34.1, 0.04), (13.5, 0.025)]];
     let radius = (3.0 * (WIDEST / (2.0 * PI * PI)).sqrt() * pixels_per_degree).ceil() as usize;
     let kernels: Vec<(f64, Vec<f64>)> = GAUSSIANS[channel]
         .iter()
         .map(|&(a, b)| {
-            (
-                a * (PI / b).sqrt(),
-                sampled(radius, |x| {
-                    (-(PI * x / pixels_per_degree).powi(2) / b).exp()
-                }),
-            )
+            (a * (PI / b).sqrt(), sampled(radius, |x| (-(PI * x / pixels_per_degree).powi(2) / b).exp()))
         })
         .collect();
-    let total: f64 = kernels
-        .iter()
-        .map(|(scale, kernel)| scale * kernel.iter().sum::<f64>().powi(2))
-        .sum();
+    let total: f64 = kernels.iter().map(|(scale, kernel)| scale * kernel.iter().sum::<f64>().powi(2)).sum();
     let mut sum = vec![0.0f32; plane.values.len()];
     for (scale, kernel) in &kernels {
         let part = plane.convolve(&to_f32(kernel, scale / total), &to_f32(kernel, 1.0));
-        sum.par_iter_mut()
-            .zip(part)
-            .for_each(|(sum, part)| *sum += part);
+        sum.par_iter_mut().zip(part).for_each(|(sum, part)| *sum += part);
     }
     sum
 }
@@ -207,14 +158,9 @@ fn features(plane: &Plane, kernel: fn(f64, f64) -> f64, pixels_per_degree: f64) 
     let derivative = sampled(radius, |x| kernel(x, sigma));
     let positive: f64 = derivative.iter().filter(|v| **v > 0.0).sum();
     let negative: f64 = -derivative.iter().filter(|v| **v < 0.0).sum::<f64>();
-    let balanced: Vec<f32> = derivative
-        .iter()
-        .map(|&v| (v / if v > 0.0 { positive } else { negative }) as f32)
-        .collect();
-    let (x, y) = (
-        plane.convolve(&balanced, &smooth),
-        plane.convolve(&smooth, &balanced),
-    );
+    let balanced: Vec<f32> =
+        derivative.iter().map(|&v| (v / if v > 0.0 { positive } else { negative }) as f32).collect();
+    let (x, y) = (plane.convolve(&balanced, &smooth), plane.convolve(&smooth, &balanced));
     x.into_par_iter().zip(y).map(|(x, y)| x.hypot(y)).collect()
 }
 
@@ -250,21 +196,13 @@ fn xyz_to_ycxcz(xyz: [f32; 3]) -> [f32; 3] {
 
 fn ycxcz_to_xyz([yy, cx, cz]: [f32; 3]) -> [f32; 3] {
     let y = (yy + 16.0) / 116.0;
-    [
-        (y + cx / 500.0) * WHITE[0],
-        y * WHITE[1],
-        (y - cz / 200.0) * WHITE[2],
-    ]
+    [(y + cx / 500.0) * WHITE[0], y * WHITE[1], (y - cz / 200.0) * WHITE[2]]
 }
 
 fn linear_to_lab(rgb: [f32; 3]) -> [f32; 3] {
     const DELTA: f32 = 6.0 / 29.0;
     let curve = |t: f32| {
-        if t > DELTA * DELTA * DELTA {
-            t.cbrt()
-        } else {
-            t / (3.0 * DELTA * DELTA) + 4.0 / 29.0
-        }
+        if t > DELTA * DELTA * DELTA { t.cbrt() } else { t / (3.0 * DELTA * DELTA) + 4.0 / 29.0 }
     };
     let xyz = linear_to_xyz(rgb);
     let [x, y, z] = [0, 1, 2].map(|i| curve(xyz[i] / WHITE[i]));
@@ -333,10 +271,7 @@ mod tests {
                 mean(&noisy, &truth)
             })
             .collect();
-        assert!(
-            errors.windows(2).all(|pair| pair[0] < pair[1]),
-            "{errors:?}"
-        );
+        assert!(errors.windows(2).all(|pair| pair[0] < pair[1]), "{errors:?}");
         assert!(errors[3] <= 1.0);
     }
 
@@ -344,10 +279,7 @@ mod tests {
     fn colour_spaces_come_back_and_white_is_neutral() {
         let rgb = [0.2, 0.7, 0.4];
         let back = xyz_to_linear(ycxcz_to_xyz(xyz_to_ycxcz(linear_to_xyz(rgb))));
-        assert!(
-            rgb.iter().zip(back).all(|(a, b)| (a - b).abs() < 1e-4),
-            "{back:?}"
-        );
+        assert!(rgb.iter().zip(back).all(|(a, b)| (a - b).abs() < 1e-4), "{back:?}");
         let white = linear_to_lab([1.0; 3]);
         assert!(
             (white[0] - 100.0).abs() < 1e-2 && white[1].abs() < 1e-2 && white[2].abs() < 1e-2,
@@ -358,20 +290,13 @@ mod tests {
     /// A filtered constant stays itself; a detector sees nothing in it.
     #[test]
     fn filters_keep_constants_and_detectors_ignore_them() {
-        let plane = Plane {
-            width: 9,
-            values: vec![40.0; 63],
-        };
+        let plane = Plane { width: 9, values: vec![40.0; 63] };
         for channel in 0..3 {
             let filtered = contrast_filter(&plane, channel, FLIP_PIXELS_PER_DEGREE);
             assert!(filtered.iter().all(|v| (v - 40.0).abs() < 1e-3));
         }
         for kernel in [edge_kernel, point_kernel] {
-            assert!(
-                features(&plane, kernel, FLIP_PIXELS_PER_DEGREE)
-                    .iter()
-                    .all(|v| v.abs() < 1e-4)
-            );
+            assert!(features(&plane, kernel, FLIP_PIXELS_PER_DEGREE).iter().all(|v| v.abs() < 1e-4));
         }
     }
 

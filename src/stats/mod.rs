@@ -21,9 +21,7 @@ pub use comparison::{Comparison, ComparisonOptions};
 pub use error::StatsError;
 pub use flip::{FLIP_PIXELS_PER_DEGREE, flip, flip_map};
 pub use metrics::{Differences, RelMse, differences, mean_ratio, mse, relative_mse};
-pub use normal::{
-    erfc, normal_cdf, normal_quantile, normal_survival, normal_two_sided_threshold, sidak,
-};
+pub use normal::{erfc, normal_cdf, normal_quantile, normal_survival, normal_two_sided_threshold, sidak};
 pub use view::ImageView;
 pub use z_report::{Dispersion, Extreme, PixelReport, ZReport};
 pub use z_test::{ZTestOptions, z_test};

@@ -6,11 +6,7 @@ use super::gamma::gamma_q;
 
 /// Complementary error function; relative error below 1e-12, in the far tail too.
 pub fn erfc(x: f64) -> f64 {
-    if x >= 0.0 {
-        gamma_q(0.5, x * x)
-    } else {
-        2.0 - gamma_q(0.5, x * x)
-    }
+    if x >= 0.0 { gamma_q(0.5, x * x) } else { 2.0 - gamma_q(0.5, x * x) }
 }
 
 /// P(Z ≤ z).
@@ -29,11 +25,7 @@ pub fn normal_quantile(p: f64) -> f64 {
     if p.is_nan() || !(0.0..=1.0).contains(&p) {
         return f64::NAN;
     }
-    if p > 0.5 {
-        -lower_quantile(1.0 - p)
-    } else {
-        lower_quantile(p)
-    }
+    if p > 0.5 { -lower_quantile(1.0 - p) } else { lower_quantile(p) }
 }
 
 /// Quantile for 0 ≤ p ≤ 1/2.
@@ -77,13 +69,8 @@ fn acklam(p: f64) -> f64 {
         4.374664141464968,
         2.938163982698783,
     ];
-    const D: [f64; 5] = [
-        7.784695709041462e-3,
-        3.224671290700398e-1,
-        2.445134137142996,
-        3.754408661907416,
-        1.0,
-    ];
+    const D: [f64; 5] =
+        [7.784695709041462e-3, 3.224671290700398e-1, 2.445134137142996, 3.754408661907416, 1.0];
     if p < 0.02425 {
         let q = (-2.0 * p.ln()).sqrt();
         polynomial(&C, q) / polynomial(&D, q)
@@ -122,11 +109,7 @@ mod tests {
             (-1.0, 1.842_700_792_949_715),
         ];
         for (x, want) in known {
-            assert!(
-                (erfc(x) / want - 1.0).abs() < 1e-12,
-                "erfc({x}) = {} not {want}",
-                erfc(x)
-            );
+            assert!((erfc(x) / want - 1.0).abs() < 1e-12, "erfc({x}) = {} not {want}", erfc(x));
         }
     }
 
@@ -142,11 +125,7 @@ mod tests {
             (1e-12, -7.034_483_825_301_131),
         ];
         for (p, want) in known {
-            assert!(
-                (normal_quantile(p) - want).abs() < 1e-10,
-                "{p}: {} not {want}",
-                normal_quantile(p)
-            );
+            assert!((normal_quantile(p) - want).abs() < 1e-10, "{p}: {} not {want}", normal_quantile(p));
         }
     }
 
@@ -154,10 +133,7 @@ mod tests {
     fn quantile_inverts_the_cdf() {
         for i in 1..600 {
             let z = f64::from(i) * -0.05;
-            assert!(
-                (normal_quantile(normal_cdf(z)) - z).abs() < 1e-9 * (1.0 - z),
-                "z = {z}"
-            );
+            assert!((normal_quantile(normal_cdf(z)) - z).abs() < 1e-9 * (1.0 - z), "z = {z}");
         }
         assert!(normal_quantile(-0.1).is_nan() && normal_quantile(f64::NAN).is_nan());
         assert_eq!(normal_quantile(0.0), f64::NEG_INFINITY);

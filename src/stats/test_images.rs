@@ -42,12 +42,7 @@ pub struct TestImage {
 impl TestImage {
     pub fn constant(width: usize, height: usize, colour: [f32; 3]) -> Self {
         let pixels = width * height;
-        Self {
-            width,
-            height,
-            rgb: vec![colour; pixels],
-            standard_error: vec![[0.0; 3]; pixels],
-        }
+        Self { width, height, rgb: vec![colour; pixels], standard_error: vec![[0.0; 3]; pixels] }
     }
 
     /// A smooth image with normal noise of 2 to 8 % that its standard errors state rightly.
@@ -66,26 +61,15 @@ impl TestImage {
     }
 
     pub fn scaled(mut self, factor: f32) -> Self {
-        self.rgb
-            .iter_mut()
-            .flatten()
-            .for_each(|value| *value *= factor);
+        self.rgb.iter_mut().flatten().for_each(|value| *value *= factor);
         self
     }
 
     pub fn view(&self) -> ImageView<'_> {
-        ImageView {
-            standard_error: Some(&self.standard_error),
-            ..self.exact()
-        }
+        ImageView { standard_error: Some(&self.standard_error), ..self.exact() }
     }
 
     pub fn exact(&self) -> ImageView<'_> {
-        ImageView {
-            width: self.width,
-            height: self.height,
-            rgb: &self.rgb,
-            standard_error: None,
-        }
+        ImageView { width: self.width, height: self.height, rgb: &self.rgb, standard_error: None }
     }
 }

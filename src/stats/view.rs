@@ -18,20 +18,12 @@ impl ImageView<'_> {
 
     /// Standard error of one value; 0 for an exact image.
     pub(super) fn error_at(&self, pixel: usize, channel: usize) -> f64 {
-        self.standard_error
-            .map_or(0.0, |se| f64::from(se[pixel][channel]))
+        self.standard_error.map_or(0.0, |se| f64::from(se[pixel][channel]))
     }
 
     fn check_lengths(&self, what: &'static str) -> Result<(), StatsError> {
         let expected = self.width.saturating_mul(self.height);
-        let wrong = |item, got| {
-            Err(StatsError::WrongLength {
-                what,
-                item,
-                got,
-                expected,
-            })
-        };
+        let wrong = |item, got| Err(StatsError::WrongLength { what, item, got, expected });
         match self.standard_error {
             _ if expected == 0 => Err(StatsError::EmptyImage),
             _ if self.rgb.len() != expected => wrong("colours", self.rgb.len()),
@@ -46,9 +38,7 @@ pub(super) fn check_pair(a: &ImageView, b: &ImageView) -> Result<(), StatsError>
     a.check_lengths("first")?;
     b.check_lengths("second")?;
     if (a.width, a.height) != (b.width, b.height) {
-        return Err(StatsError::SizeMismatch(
-            a.width, a.height, b.width, b.height,
-        ));
+        return Err(StatsError::SizeMismatch(a.width, a.height, b.width, b.height));
     }
     Ok(())
 }

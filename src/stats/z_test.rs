@@ -27,12 +27,7 @@ pub struct ZTestOptions {
 
 impl Default for ZTestOptions {
     fn default() -> Self {
-        Self {
-            alpha: 0.01,
-            block: 8,
-            pixels_decisive: false,
-            dispersion_decisive: false,
-        }
+        Self { alpha: 0.01, block: 8, pixels_decisive: false, dispersion_decisive: false }
     }
 }
 
@@ -51,15 +46,9 @@ pub fn z_test(a: &ImageView, b: &ImageView, options: &ZTestOptions) -> Result<ZR
     check_errors(a, "first")?;
     check_errors(b, "second")?;
 
-    let families =
-        2 + usize::from(options.pixels_decisive) + usize::from(options.dispersion_decisive);
+    let families = 2 + usize::from(options.pixels_decisive) + usize::from(options.dispersion_decisive);
     let level = sidak(options.alpha, families);
-    let blocks = Family::over_tiles(
-        a,
-        b,
-        options.block.min(a.width),
-        options.block.min(a.height),
-    );
+    let blocks = Family::over_tiles(a, b, options.block.min(a.width), options.block.min(a.height));
     let means = Family::over_tiles(a, b, a.width, a.height).extreme(level);
     let pixels = Family::over_tiles(a, b, 1, 1).pixel_report(level);
     let dispersion = blocks.dispersion(level);
@@ -68,29 +57,13 @@ pub fn z_test(a: &ImageView, b: &ImageView, options: &ZTestOptions) -> Result<ZR
         && means.passes()
         && (!options.pixels_decisive || pixels.extreme.passes())
         && (!options.dispersion_decisive || dispersion.passes());
-    let ZTestOptions {
-        alpha,
-        pixels_decisive,
-        dispersion_decisive,
-        ..
-    } = *options;
-    Ok(ZReport {
-        alpha,
-        blocks,
-        means,
-        pixels,
-        dispersion,
-        pixels_decisive,
-        dispersion_decisive,
-        passes,
-    })
+    let ZTestOptions { alpha, pixels_decisive, dispersion_decisive, .. } = *options;
+    Ok(ZReport { alpha, blocks, means, pixels, dispersion, pixels_decisive, dispersion_decisive, passes })
 }
 
 fn check_options(options: &ZTestOptions) -> Result<(), StatsError> {
     match *options {
-        ZTestOptions { alpha, .. } if !(alpha > 0.0 && alpha < 1.0) => {
-            Err(StatsError::BadAlpha(alpha))
-        }
+        ZTestOptions { alpha, .. } if !(alpha > 0.0 && alpha < 1.0) => Err(StatsError::BadAlpha(alpha)),
         ZTestOptions { block: 0, .. } => Err(StatsError::EmptyBlock),
         _ => Ok(()),
     }
@@ -99,22 +72,11 @@ fn check_options(options: &ZTestOptions) -> Result<(), StatsError> {
 /// An unknown (infinite) error would let anything pass.
 fn check_errors(view: &ImageView, what: &'static str) -> Result<(), StatsError> {
     let errors = view.standard_error.unwrap_or_default();
-    let bad = |rgb: &[f32; 3]| {
-        rgb.iter()
-            .copied()
-            .find(|se| !(se.is_finite() && *se >= 0.0))
-    };
-    match errors
-        .iter()
-        .enumerate()
-        .find_map(|(pixel, rgb)| bad(rgb).map(|value| (pixel, value)))
-    {
-        Some((pixel, value)) => Err(StatsError::BadStandardError {
-            what,
-            x: pixel % view.width,
-            y: pixel / view.width,
-            value,
-        }),
+    let bad = |rgb: &[f32; 3]| rgb.iter().copied().find(|se| !(se.is_finite() && *se >= 0.0));
+    match errors.iter().enumerate().find_map(|(pixel, rgb)| bad(rgb).map(|value| (pixel, value))) {
+        Some((pixel, value)) => {
+            Err(StatsError::BadStandardError { what, x: pixel % view.width, y: pixel / view.width, value })
+        }
         None => Ok(()),
     }
 }
@@ -125,11 +87,7 @@ fn z_score(a: f64, b: f64, variance: f64) -> f64 {
     let z = if a == b {
         0.0
     } else if variance == 0.0 {
-        if (a - b).abs() <= EXACT_TOLERANCE * magnitude {
-            0.0
-        } else {
-            f64::INFINITY
-        }
+        if (a - b).abs() <= EXACT_TOLERANCE * magnitude { 0.0 } else { f64::INFINITY }
     } else {
         (a - b) / (variance + (ROUNDING * magnitude).powi(2)).sqrt()
     };
@@ -151,40 +109,20 @@ struct Family {
 impl Family {
     /// Tiles of `w` × `h` pixels, cut off at the right and lower edge.
     fn over_tiles(a: &ImageView, b: &ImageView, w: usize, h: usize) -> Self {
-        let corners = (0..a.height)
-            .step_by(h)
-            .flat_map(|y| (0..a.width).step_by(w).map(move |x| (x, y)));
-        let tiles = corners.map(|(x, y)| TileZ {
-            x,
-            y,
-            z: [0, 1, 2].map(|c| tile_z(a, b, (x, y), (w, h), c)),
-        });
-        Self {
-            tiles: tiles.collect(),
-        }
+        let corners = (0..a.height).step_by(h).flat_map(|y| (0..a.width).step_by(w).map(move |x| (x, y)));
+        let tiles =
+            corners.map(|(x, y)| TileZ { x, y, z: [0, 1, 2].map(|c| tile_z(a, b, (x, y), (w, h), c)) });
+        Self { tiles: tiles.collect() }
     }
 
     fn extreme(&self, level: f64) -> Extreme {
         let tests = 3 * self.tiles.len();
         let threshold = normal_two_sided_threshold(sidak(level, tests));
-        let mut worst = Extreme {
-            tests,
-            max_abs_z: 0.0,
-            threshold,
-            x: 0,
-            y: 0,
-            channel: 0,
-        };
+        let mut worst = Extreme { tests, max_abs_z: 0.0, threshold, x: 0, y: 0, channel: 0 };
         for tile in &self.tiles {
             for (channel, z) in tile.z.iter().enumerate() {
                 if z.abs() > worst.max_abs_z {
-                    worst = Extreme {
-                        max_abs_z: z.abs(),
-                        x: tile.x,
-                        y: tile.y,
-                        channel,
-                        ..worst
-                    };
+                    worst = Extreme { max_abs_z: z.abs(), x: tile.x, y: tile.y, channel, ..worst };
                 }
             }
         }
@@ -198,21 +136,14 @@ impl Family {
     fn pixel_report(&self, level: f64) -> PixelReport {
         let above = self.values().filter(|z| z.abs() > 3.0).count();
         let extreme = self.extreme(level);
-        PixelReport {
-            extreme,
-            share_above_3: above as f64 / extreme.tests as f64,
-        }
+        PixelReport { extreme, share_above_3: above as f64 / extreme.tests as f64 }
     }
 
     /// With fully correlated channels Σz²/3 over n blocks is χ² with n degrees of freedom; with less it varies less.
     fn dispersion(&self, level: f64) -> Dispersion {
         let dof = self.tiles.len() as f64;
         let mean_square_z = self.values().map(|z| z * z).sum::<f64>() / (3.0 * dof);
-        Dispersion {
-            mean_square_z,
-            p_value: chi2_survival(mean_square_z * dof, dof),
-            level,
-        }
+        Dispersion { mean_square_z, p_value: chi2_survival(mean_square_z * dof, dof), level }
     }
 }
 

@@ -5,9 +5,7 @@ use super::items::{RayItem, ShadowItem};
 use super::light::{choose_light, pdf_light, sample_light};
 use crate::bsdf::{bsdf_evaluate, bsdf_sample};
 use crate::math::mis_weight;
-use crate::random::{
-    DIMENSION_CAMERA, SampleKey, Sampler, dimension_bsdf, dimension_light, sample4,
-};
+use crate::random::{DIMENSION_CAMERA, SampleKey, Sampler, dimension_bsdf, dimension_light, sample4};
 use crate::scene::camera::camera_ray;
 use crate::scene::compiled::{CompiledScene, KIND_DIELECTRIC, Material, Uniforms};
 use crate::scene::shapes::{Hit, Ray, Surface, shape_info, spawn_ray, surface_at};
@@ -111,8 +109,7 @@ impl Transport<'_> {
         }
         let pdf = light.pick_probability * towards.pdf;
         let emission = self.scene.materials[light.material as usize].emission;
-        let radiance =
-            ray.throughput * bsdf.value * emission * (mis_weight(pdf, bsdf.pdf) / pdf);
+        let radiance = ray.throughput * bsdf.value * emission * (mis_weight(pdf, bsdf.pdf) / pdf);
         Some(ShadowItem {
             origin,
             t_max: towards.t,
@@ -136,10 +133,8 @@ impl Transport<'_> {
     pub fn shade(&self, ray: &RayItem, hit: Hit) -> ShadeOutcome {
         let surface = surface_at(self.scene, Ray { origin: ray.origin, direction: ray.direction }, hit);
         let material = &self.scene.materials[shape_info(self.scene, hit.shape).material as usize];
-        let mut outcome = ShadeOutcome {
-            emitted: self.emitted(ray, hit, &surface, material),
-            ..Default::default()
-        };
+        let mut outcome =
+            ShadeOutcome { emitted: self.emitted(ray, hit, &surface, material), ..Default::default() };
         if ray.bounce + 1 >= self.uniforms.max_bounces || material.color.max_element() <= 0.0 {
             return outcome;
         }

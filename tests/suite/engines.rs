@@ -31,7 +31,10 @@ fn wavefront_and_megakernel_render_identical_images_of_every_scene() {
                 let differing = differing_pixels(&reference.film, &other.film);
                 let total = reference.film.pixels().len();
                 if exact {
-                    assert_eq!(differing, 0, "{name}: {schedule:?} differs from the megakernel in pixels of {total}");
+                    assert_eq!(
+                        differing, 0,
+                        "{name}: {schedule:?} differs from the megakernel in pixels of {total}"
+                    );
                 } else {
                     let close = differences(&other.image.view(), &reference.image.view()).unwrap();
                     println!("{name} {schedule:?}: {differing} of {total} pixels differ");
@@ -140,7 +143,8 @@ fn a_brighter_image_does_not_agree() {
     let scene = scene("cornell-box");
     let [a, b] = [1, 2].map(|seed| render(&scene, Engine::Cpu, &thumbnail(&scene, seed), 2048).image);
     let options = ZTestOptions { alpha: 1e-3, ..Default::default() };
-    let judge = |image: &Image| (mean_z(&a, image), z_test(&a.view(), &image.view(), &options).unwrap().passes);
+    let judge =
+        |image: &Image| (mean_z(&a, image), z_test(&a.view(), &image.view(), &options).unwrap().passes);
     let (z, passes) = judge(&b);
     assert!(z < 4.0 && passes, "{z} {passes}");
     let (z, passes) = judge(&brightened(&b, 1.02));
@@ -236,7 +240,10 @@ fn any_cut_of_a_range_of_samples_covers_the_same_samples() {
             assert_eq!(merged.samples(), (64, 64));
             for (a, b) in merged.pixels().iter().zip(whole.pixels()) {
                 for c in 0..3 {
-                    assert!((a.sum[c] - b.sum[c]).abs() <= 4e-6 * b.sum[c], "{engine:?} {cuts:?} {a:?} {b:?}");
+                    assert!(
+                        (a.sum[c] - b.sum[c]).abs() <= 4e-6 * b.sum[c],
+                        "{engine:?} {cuts:?} {a:?} {b:?}"
+                    );
                 }
             }
         }
@@ -278,7 +285,9 @@ fn a_render_of_several_batches_holds_every_sample_once() {
     let scene = scene("furnace-open-half");
     let options = small(16, 16, 9);
     let cpu = render(&scene, Engine::Cpu, &options, 1100).film;
-    for engine in [Engine::Megakernel, Engine::Wavefront(Schedule::Fused), Engine::Wavefront(Schedule::Compacted)] {
+    for engine in
+        [Engine::Megakernel, Engine::Wavefront(Schedule::Fused), Engine::Wavefront(Schedule::Compacted)]
+    {
         let gpu = render(&scene, engine, &options, 1100);
         assert_eq!(gpu.film.samples(), (1100, 1100));
         assert_eq!(gpu.stats.paths, 1100 * 256);

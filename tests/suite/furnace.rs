@@ -96,7 +96,10 @@ fn a_furnace_of_k_levels_has_k_terms() {
             let image = render(&scene("furnace-closed-90"), engine, &limited, 4).image;
             let expected = closed_form(0.9, levels as i32);
             let (mean, _) = mean_and_relative_error(&image);
-            assert!((mean / expected - 1.0).abs() < 1e-5, "{engine:?}, {levels} levels: {mean} for {expected}");
+            assert!(
+                (mean / expected - 1.0).abs() < 1e-5,
+                "{engine:?}, {levels} levels: {mean} for {expected}"
+            );
 
             let lit = RenderOptions { direct_light: Some(true), ..limited };
             let (mean, error) =
@@ -141,12 +144,18 @@ fn a_ball_that_loses_nothing_is_invisible_before_its_background() {
         for engine in ENGINES {
             for roulette in [false, true] {
                 let image = render(&scene, engine, &options(true, roulette), 16).image;
-                assert!(worst(&image, 1.0) < 1e-4, "{:?} on {engine:?}: {}", material.kind, worst(&image, 1.0));
+                assert!(
+                    worst(&image, 1.0) < 1e-4,
+                    "{:?} on {engine:?}: {}",
+                    material.kind,
+                    worst(&image, 1.0)
+                );
             }
         }
     }
     // Negative control: a thousandth less is seen.
-    let image = render(&open_furnace(Material::diffuse([0.999; 3])), Engine::Cpu, &options(true, false), 16).image;
+    let image =
+        render(&open_furnace(Material::diffuse([0.999; 3])), Engine::Cpu, &options(true, false), 16).image;
     assert!(worst(&image, 1.0) > 5e-4);
 }
 
@@ -154,7 +163,8 @@ fn a_ball_that_loses_nothing_is_invisible_before_its_background() {
 #[test]
 fn a_ball_of_albedo_one_half_reflects_one_half() {
     for engine in ENGINES {
-        let image = render(&open_furnace(Material::diffuse([0.5; 3])), engine, &options(true, false), 16).image;
+        let image =
+            render(&open_furnace(Material::diffuse([0.5; 3])), engine, &options(true, false), 16).image;
         // The ball's rim lies at tan(asin(1/3)) = 0.354 of a half-height of tan(22.5°) = 0.414, in units of 8 pixels.
         let rim = (1.0f32 / 3.0).asin().tan() / 22.5f32.to_radians().tan() * 8.0;
         let mut counts = [0; 2];

@@ -256,7 +256,9 @@ fn without_direct_light_nothing_of_it_is_linked() {
     let off = linked(&scene("cornell-box"), false, true);
     for (kernel, wgsl) in &off {
         let names = names(wgsl);
-        for name in ["lights", "shadows", "occluded", "sample_light", "direct_light", "mis_weight", "choose_light"] {
+        for name in
+            ["lights", "shadows", "occluded", "sample_light", "direct_light", "mis_weight", "choose_light"]
+        {
             assert!(!names.contains(name), "{kernel} has {name} with direct light off");
         }
         assert!(!kernel.starts_with("shadow"));

@@ -43,7 +43,8 @@ fn adapter() -> Option<String> {
 
 /// The adapter under test.
 pub fn open_gpu() -> Gpu {
-    Gpu::open(adapter().as_deref()).unwrap_or_else(|e| panic!("{e}\nGPU tests need an adapter: run tests/run"))
+    Gpu::open(adapter().as_deref())
+        .unwrap_or_else(|e| panic!("{e}\nGPU tests need an adapter: run tests/run"))
 }
 
 /// Where the repository lies.
@@ -86,9 +87,16 @@ pub fn render(scene: &Scene, engine: Engine, options: &RenderOptions, spp: u32) 
 }
 
 /// Renders `spp` samples per pixel in steps of at most `step`.
-pub fn render_in_steps(scene: &Scene, engine: Engine, options: &RenderOptions, spp: u32, step: u32) -> Render {
-    let mut renderer = Renderer::new(scene, engine.with(options))
-        .unwrap_or_else(|e| panic!("{engine:?} on {}: {e}\nGPU tests need an adapter: run tests/run", scene.name));
+pub fn render_in_steps(
+    scene: &Scene,
+    engine: Engine,
+    options: &RenderOptions,
+    spp: u32,
+    step: u32,
+) -> Render {
+    let mut renderer = Renderer::new(scene, engine.with(options)).unwrap_or_else(|e| {
+        panic!("{engine:?} on {}: {e}\nGPU tests need an adapter: run tests/run", scene.name)
+    });
     while renderer.samples() < spp {
         let wanted = (spp - renderer.samples()).min(step);
         renderer.step(wanted).unwrap_or_else(|e| panic!("{engine:?} on {}: {e}", scene.name));
@@ -104,6 +112,7 @@ pub fn brightened(image: &Image, factor: f32) -> Image {
 /// How many sums of the two films differ in any bit.
 pub fn differing_pixels(a: &Film, b: &Film) -> usize {
     assert_eq!(a.pixels().len(), b.pixels().len());
-    let same = |(a, b): &(&_, &_)| bytemuck::bytes_of(*a) == bytemuck::bytes_of::<qtracer::film::PixelSum>(*b);
+    let same =
+        |(a, b): &(&_, &_)| bytemuck::bytes_of(*a) == bytemuck::bytes_of::<qtracer::film::PixelSum>(*b);
     a.pixels().iter().zip(b.pixels()).filter(|pair| !same(pair)).count()
 }

@@ -14,26 +14,12 @@ fn defaults_fill_what_is_left_out() {
     let scene = room();
     assert_eq!(scene.camera.up, DVec3::Y);
     assert_eq!(scene.environment, DVec3::ZERO);
-    assert_eq!(
-        scene.defaults,
-        Defaults {
-            spp: 16,
-            max_bounces: 64,
-            direct_light: true,
-            roulette: true
-        }
-    );
+    assert_eq!(scene.defaults, Defaults { spp: 16, max_bounces: 64, direct_light: true, roulette: true });
     assert_eq!(scene.description, "");
     let glass = &scene.materials[0];
     assert_eq!(
         (glass.name.as_str(), glass.kind),
-        (
-            "glass",
-            MaterialKind::Dielectric {
-                tint: DVec3::ONE,
-                ior: 1.5
-            }
-        )
+        ("glass", MaterialKind::Dielectric { tint: DVec3::ONE, ior: 1.5 })
     );
     assert_eq!(scene.warnings(), []);
 }
@@ -41,17 +27,9 @@ fn defaults_fill_what_is_left_out() {
 #[test]
 fn shapes_refer_to_their_materials_by_index() {
     let scene = room();
-    let names: Vec<_> = scene
-        .shapes
-        .iter()
-        .map(|shape| scene.materials[shape.material].name.as_str())
-        .collect();
-    assert_eq!(
-        names,
-        [
-            "white", "lamp", "glass", "glass", "glass", "glass", "glass", "glass"
-        ]
-    );
+    let names: Vec<_> =
+        scene.shapes.iter().map(|shape| scene.materials[shape.material].name.as_str()).collect();
+    assert_eq!(names, ["white", "lamp", "glass", "glass", "glass", "glass", "glass", "glass"]);
 }
 
 #[test]
@@ -71,10 +49,7 @@ fn building_gives_what_the_file_gives() {
     let built = Scene::builder("room")
         .camera([0.0, 1.0, 4.0], [0.0; 3], 40.0)
         .size(320, 240)
-        .render(Defaults {
-            spp: 16,
-            ..Defaults::default()
-        })
+        .render(Defaults { spp: 16, ..Defaults::default() })
         .material("glass", Material::dielectric([1.0; 3], 1.5))
         .material("lamp", Material::diffuse([0.0; 3]).emitting([15.0; 3]))
         .material("polished", Material::mirror([0.9; 3], 0.5))
@@ -97,9 +72,7 @@ fn boxes_become_six_outward_quads() {
         let mut volume = 0.0;
         let mut closed = DVec3::ZERO;
         for shape in &shapes {
-            let Geometry::Quad { corner, e1, e2 } = shape.geometry else {
-                panic!("not a quad")
-            };
+            let Geometry::Quad { corner, e1, e2 } = shape.geometry else { panic!("not a quad") };
             let area = e1.cross(e2);
             let reach = (corner + 0.5 * (e1 + e2) - center).dot(area.normalize());
             assert!(reach > 0.9, "a side faces inwards: {reach}");
@@ -108,10 +81,7 @@ fn boxes_become_six_outward_quads() {
             closed += area;
         }
         assert_eq!(shapes.len(), 6);
-        assert!(
-            (volume - 48.0).abs() < 1e-9,
-            "volume {volume} at {degrees}°"
-        );
+        assert!((volume - 48.0).abs() < 1e-9, "volume {volume} at {degrees}°");
         assert!(closed.length() < 1e-9);
     }
 }
@@ -125,22 +95,14 @@ fn boxes_turn_counter_clockwise_about_y() {
         Geometry::Quad { corner, e1, e2 } => corner + 0.5 * (e1 + e2),
         Geometry::Sphere { center, .. } => center,
     });
-    assert!(
-        centers
-            .into_iter()
-            .any(|center| center.distance(reach) < 1e-12)
-    );
+    assert!(centers.into_iter().any(|center| center.distance(reach) < 1e-12));
 }
 
 fn boxed(center: DVec3, size: DVec3, degrees: f64) -> Vec<Shape> {
     let builder = Scene::builder("box")
         .camera([0.0, 0.0, 9.0], [0.0; 3], 40.0)
         .material("m", Material::diffuse([0.5; 3]));
-    builder
-        .boxed(center, size, degrees, "m")
-        .build()
-        .expect("valid")
-        .shapes
+    builder.boxed(center, size, degrees, "m").build().expect("valid").shapes
 }
 
 #[test]
@@ -149,32 +111,15 @@ fn darkness_and_excess_are_warned_about() {
     assert_eq!(dark.warnings(), [SceneWarning::NoLight]);
     assert!(dark.warnings()[0].to_string().contains("black"));
 
-    let unused = Scene::from_toml(&ROOM.replace("material = \"lamp\"", "material = \"white\""))
-        .expect("valid");
+    let unused =
+        Scene::from_toml(&ROOM.replace("material = \"lamp\"", "material = \"white\"")).expect("valid");
     assert_eq!(unused.warnings(), [SceneWarning::NoLight]);
 
-    let bright =
-        Scene::from_toml(&ROOM.replace("[0.7, 0.7, 0.7]", "[0.7, 1.2, 0.7]")).expect("valid");
-    assert_eq!(
-        bright.warnings(),
-        [SceneWarning::AlbedoAboveOne {
-            material: "white".into(),
-            largest: 1.2
-        }]
-    );
-    assert!(
-        bright.warnings()[0]
-            .to_string()
-            .contains("material \"white\"")
-    );
+    let bright = Scene::from_toml(&ROOM.replace("[0.7, 0.7, 0.7]", "[0.7, 1.2, 0.7]")).expect("valid");
+    assert_eq!(bright.warnings(), [SceneWarning::AlbedoAboveOne { material: "white".into(), largest: 1.2 }]);
+    assert!(bright.warnings()[0].to_string().contains("material \"white\""));
 
     let sky = Scene::builder("sky").camera([0.0, 0.0, 1.0], [0.0; 3], 40.0);
-    assert_eq!(
-        sky.clone().build().expect("valid").warnings(),
-        [SceneWarning::NoLight]
-    );
-    assert_eq!(
-        sky.environment([1.0; 3]).build().expect("valid").warnings(),
-        []
-    );
+    assert_eq!(sky.clone().build().expect("valid").warnings(), [SceneWarning::NoLight]);
+    assert_eq!(sky.environment([1.0; 3]).build().expect("valid").warnings(), []);
 }
