@@ -1,11 +1,12 @@
 //! `--dump-kernels`: the linked WGSL of a scene's kernels as files, to be read. No GPU takes part.
 
 use super::failure::Failure;
+use qtracer::engine::preferred_engine;
 use qtracer::gpu::key::KernelKey;
 use qtracer::gpu::link::link;
 use qtracer::gpu::stage::Stage;
 use qtracer::scene::compiled::CompiledScene;
-use qtracer::{EngineChoice, RenderOptions, Scene};
+use qtracer::{EngineChoice, EngineKind, RenderOptions, Scene};
 use std::fs;
 use std::path::Path;
 
@@ -18,8 +19,12 @@ pub fn dump(folder: &Path, scene: &Scene, options: &RenderOptions) -> Result<Str
         options.sampler,
     );
     let schedule = options.schedule.unwrap_or_default();
+    let levels = options.max_bounces.unwrap_or(scene.defaults.max_bounces);
+    let megakernel =
+        options.engine == EngineChoice::Auto && preferred_engine(&key, levels) == EngineKind::Megakernel;
     let (stages, of) = match options.engine {
         EngineChoice::Megakernel => (Stage::megakernel(), "the megakernel engine"),
+        EngineChoice::Auto if megakernel => (Stage::megakernel(), "the megakernel engine"),
         EngineChoice::Wavefront | EngineChoice::Auto => {
             (Stage::wavefront(&key, schedule), "the wavefront engine")
         }

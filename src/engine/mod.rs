@@ -1,5 +1,6 @@
 //! Engines: three ways to run the same transport, behind one trait, and the renderer that chooses among them.
 
+mod auto;
 mod batch;
 mod cpu;
 mod error;
@@ -11,6 +12,7 @@ mod renderer;
 mod stats;
 mod wavefront;
 
+pub use auto::preferred_engine;
 pub use batch::Batch;
 pub use error::RenderError;
 pub use options::{EngineChoice, EngineKind, RenderOptions};

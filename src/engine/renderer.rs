@@ -1,5 +1,6 @@
 //! The renderer: chooses an engine and fills a film, step by step.
 
+use super::auto::preferred_engine;
 use super::cpu::CpuEngine;
 use super::features::features;
 use super::megakernel::MegakernelEngine;
@@ -135,24 +136,24 @@ fn build_engine(
         Ok(Box::new(engine) as Box<dyn Engine>)
     };
     let key = KernelKey::new(compiled, direct_light, roulette, options.sampler);
+    let on_gpu = |gpu: Gpu, kind: EngineKind| -> Result<Box<dyn Engine>, RenderError> {
+        Ok(match kind {
+            EngineKind::Megakernel => Box::new(MegakernelEngine::new(gpu, compiled, uniforms, key)?),
+            _ => Box::new(WavefrontEngine::new(gpu, compiled, uniforms, key, options)?),
+        })
+    };
     let adapter = options.adapter.as_deref();
     match options.engine {
         EngineChoice::Cpu => cpu(),
-        EngineChoice::Megakernel => {
-            Ok(Box::new(MegakernelEngine::new(Gpu::open(adapter)?, compiled, uniforms, key)?))
-        }
-        EngineChoice::Wavefront => {
-            Ok(Box::new(WavefrontEngine::new(Gpu::open(adapter)?, compiled, uniforms, key, options)?))
-        }
+        EngineChoice::Megakernel => on_gpu(Gpu::open(adapter)?, EngineKind::Megakernel),
+        EngineChoice::Wavefront => on_gpu(Gpu::open(adapter)?, EngineKind::Wavefront),
         EngineChoice::Auto => match Gpu::open(adapter) {
             Ok(gpu) if !gpu.summary.software || adapter.is_some() => {
-                Ok(Box::new(WavefrontEngine::new(gpu, compiled, uniforms, key, options)?))
+                on_gpu(gpu, preferred_engine(&key, uniforms.max_bounces))
             }
             Ok(gpu) => {
-                notices.push(format!(
-                    "the only adapter is a software one ({}): using the CPU engine",
-                    gpu.summary.name
-                ));
+                let name = &gpu.summary.name;
+                notices.push(format!("the only adapter is a software one ({name}): using the CPU engine"));
                 cpu()
             }
             Err(_) if adapter.is_none() => {

@@ -30,10 +30,8 @@ pub fn reflect(name: &str, wgsl: &str) -> Result<(String, Vec<(u32, String)>), G
 impl Kernel {
     pub fn new(gpu: &Gpu, name: &str, wgsl: &str) -> Result<Kernel, GpuError> {
         let (entry, bindings) = reflect(name, wgsl)?;
-        let source = wgpu::ShaderModuleDescriptor {
-            label: Some(name),
-            source: wgpu::ShaderSource::Wgsl(wgsl.into()),
-        };
+        let source =
+            wgpu::ShaderModuleDescriptor { label: Some(name), source: wgpu::ShaderSource::Wgsl(wgsl.into()) };
         let checks = wgpu::ShaderRuntimeChecks { force_loop_bounding: false, ..Default::default() };
         // SAFETY: accesses stay checked; only naga's own loop counters are left out. The kernels' loops end by themselves:
         // they count up to lengths in the uniforms, or follow a path of at most `max_bounces` levels.
