@@ -96,7 +96,7 @@ impl Shard {
     /// Adds another shard, if it is of the same picture and all its samples are new.
     fn add(&mut self, other: Shard) -> Result<(), Failure> {
         let (path, first) = (other.path.display(), self.path.display());
-        for key in ["scene", "max_bounces"] {
+        for key in ["scene", "max_bounces", "fingerprint"] {
             let get = |image: &Image| image.metadata.get(key).unwrap_or("unknown").to_string();
             let (ours, theirs) = (get(&self.image), get(&other.image));
             if ours != theirs {

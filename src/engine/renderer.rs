@@ -86,6 +86,7 @@ impl Renderer {
         metadata.set("first_sample", self.first_sample);
         metadata.set("samples", self.film.samples().1);
         metadata.set("max_bounces", self.uniforms.max_bounces);
+        metadata.set("fingerprint", format!("{:016x}", self.compiled.fingerprint(&self.uniforms)));
         metadata.set("engine", self.engine.kind());
         metadata.set("device", self.engine.device());
         metadata.set("software", concat!("qtracer ", env!("CARGO_PKG_VERSION")));

@@ -27,8 +27,8 @@ pub struct KernelKey {
     pub small_scene: Option<[u32; 4]>,
 }
 
-/// Bytes of shapes up to which uniform buffers are faster: on an H100, 0.4 and 1.5 KiB gained 13 % and 25 % (seed1,
-/// cornell; megakernel), 6 KiB lost 45 % (door), since every ray reads all of them through a cache of about 2 KiB.
+/// Bytes of shapes up to which uniform buffers are faster: on an H100 the megakernel took 13 % and 25 % less time with
+/// 0.4 and 1.5 KiB (seed1, cornell), but 82 % more with 6 KiB (door), since every ray reads all of them through a cache of about 2 KiB.
 const SMALL_SHAPES: usize = 1 << 11;
 /// Bytes of the other arrays, which are read at hits only.
 const SMALL_ARRAY: usize = 1 << 14;
@@ -108,6 +108,12 @@ fn non_delta(kinds: &[bool; KINDS]) -> bool {
 impl fmt::Display for KernelKey {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let on: Vec<&str> = self.flags().iter().filter(|(_, on)| *on).map(|(name, _)| *name).collect();
-        f.write_str(&on.join("+"))
+        f.write_str(&on.join("+"))?;
+        match self.small_scene {
+            Some([spheres, quads, materials, lights]) => {
+                write!(f, " ({spheres} spheres, {quads} quads, {materials} materials, {lights} lights)")
+            }
+            None => Ok(()),
+        }
     }
 }

@@ -170,6 +170,21 @@ impl CompiledScene {
         }
     }
 
+    /// A number that differs between different pictures (FNV-1a over geometry, materials and camera), so that shards of
+    /// different scenes are not merged. Not cryptographic.
+    pub fn fingerprint(&self, uniforms: &Uniforms) -> u64 {
+        let picture = Uniforms { seed: 0, ..*uniforms };
+        let arrays: [&[u8]; 4] = [
+            bytemuck::cast_slice(&self.spheres),
+            bytemuck::cast_slice(&self.quads),
+            bytemuck::cast_slice(&self.materials),
+            bytemuck::bytes_of(&picture),
+        ];
+        arrays.concat().iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
+            (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3)
+        })
+    }
+
     /// Which material kinds the shapes use.
     pub fn kinds(&self) -> [bool; KINDS] {
         let used = self.spheres.iter().map(|s| s.kind).chain(self.quads.iter().map(|q| q.kind));

@@ -36,7 +36,7 @@ pub struct Surface {
 
 /// Farther than anything; a miss has this distance.
 pub const T_MISS: f32 = 3.0e38;
-/// Spawn offset relative to the largest coordinate involved: 16 ulp. A sphere of radius r at that offset leaves
+/// Spawn offset relative to the largest coordinate involved: 8 to 16 ulp. A sphere of radius r at that offset leaves
 /// |o − c|² − r² = 2·r·offset, six times the rounding error of that difference. docs/ACCURACY.md has the counts.
 pub const RELATIVE_OFFSET: f32 = 1.0 / 1_048_576.0;
 
