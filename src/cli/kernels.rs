@@ -12,16 +12,17 @@ use std::path::Path;
 
 /// Writes one file per stage of the engine asked for (the wavefront engine's where that has none); says what it wrote.
 pub fn dump(folder: &Path, scene: &Scene, options: &RenderOptions) -> Result<String, Failure> {
+    let compiled = CompiledScene::new(scene);
     let key = KernelKey::new(
-        &CompiledScene::new(scene),
+        &compiled,
         options.direct_light.unwrap_or(scene.defaults.direct_light),
         options.roulette.unwrap_or(scene.defaults.roulette),
         options.sampler,
     );
     let schedule = options.schedule.unwrap_or_default();
     let levels = options.max_bounces.unwrap_or(scene.defaults.max_bounces);
-    let megakernel =
-        options.engine == EngineChoice::Auto && preferred_engine(&key, levels) == EngineKind::Megakernel;
+    let megakernel = options.engine == EngineChoice::Auto
+        && preferred_engine(&compiled, &key, levels) == EngineKind::Megakernel;
     let (stages, of) = match options.engine {
         EngineChoice::Megakernel => (Stage::megakernel(), "the megakernel engine"),
         EngineChoice::Auto if megakernel => (Stage::megakernel(), "the megakernel engine"),

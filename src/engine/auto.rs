@@ -1,18 +1,21 @@
-//! Which GPU engine `auto` takes. By what was measured on an H100 (benches/results/), not by taste.
+//! Which GPU engine `auto` takes. By what was measured on an H100 (benches/results/, docs/PERFORMANCE.md), not by taste.
 
 use super::EngineKind;
 use crate::gpu::key::KernelKey;
+use crate::scene::compiled::CompiledScene;
 
-/// Levels up to which paths stay so alike that a megakernel loses little to divergence.
+/// Shape tests per level up to which tracing costs less than carrying a ray through a queue and back (96 bytes).
+const FEW_TESTS: usize = 8;
+/// Levels up to which paths that sample no lights stay so alike that a megakernel loses little to divergence.
 const SHORT_PATHS: u32 = 8;
 
-/// The faster engine for scenes with this key. Short paths that sample no lights are cheaper to carry in registers than
-/// through queues: Bansal's experiments ran 1.4 to 2.1 times as fast as a megakernel. With direct light or long paths the
-/// wavefront's fused schedule won, by 1.2 (bansal-room-1) to 1.9 times (door-ajar).
-pub fn preferred_engine(key: &KernelKey, max_bounces: u32) -> EngineKind {
-    if !key.direct_light && max_bounces <= SHORT_PATHS {
-        EngineKind::Megakernel
-    } else {
-        EngineKind::Wavefront
-    }
+/// The engine that is faster for this scene. A level costs the wavefront its memory traffic and the megakernel its
+/// divergence: with few shapes, or short paths without direct light, the megakernel ran 1.4 to 5.9 times as fast
+/// (bansal-exp-*, furnace-*, glass-caustic), elsewhere the wavefront's fused schedule 1.2 to 1.9 times (bansal-room-1,
+/// cornell-box, glossy-box, many-lights, door-ajar).
+pub fn preferred_engine(scene: &CompiledScene, key: &KernelKey, max_bounces: u32) -> EngineKind {
+    let shapes = scene.spheres.len() + scene.quads.len();
+    let tests = shapes * if key.direct_light { 2 } else { 1 };
+    let short = !key.direct_light && max_bounces <= SHORT_PATHS;
+    if tests <= FEW_TESTS || short { EngineKind::Megakernel } else { EngineKind::Wavefront }
 }

@@ -150,7 +150,7 @@ fn build_engine(
         EngineChoice::Wavefront => on_gpu(Gpu::open(adapter)?, EngineKind::Wavefront),
         EngineChoice::Auto => match Gpu::open(adapter) {
             Ok(gpu) if !gpu.summary.software || adapter.is_some() => {
-                on_gpu(gpu, preferred_engine(&key, uniforms.max_bounces))
+                on_gpu(gpu, preferred_engine(compiled, &key, uniforms.max_bounces))
             }
             Ok(gpu) => {
                 let name = &gpu.summary.name;
