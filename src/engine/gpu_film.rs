@@ -59,7 +59,9 @@ impl GpuFilm {
             (_, true) => BATCH_PATHS_INTEGRATED,
             _ => BATCH_PATHS,
         };
-        let limit = gpu.summary.max_binding.min(gpu.summary.max_buffer) / RADIANCE_BYTES;
+        // With one sample per pixel, the sums take more than the radiance.
+        let widest = RADIANCE_BYTES.max(size_of::<BlockSum>() as u64);
+        let limit = gpu.summary.max_binding.min(gpu.summary.max_buffer) / widest;
         // A pass over all pixels in one batch where that is possible at all, and never more than will be asked for.
         let max_paths = batch.max(pixels.min(1 << 25)).min(limit).min(u64::from(u32::MAX)) as u32;
         let clock = Clock::new(&gpu);

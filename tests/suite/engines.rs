@@ -298,8 +298,8 @@ fn a_render_of_several_batches_holds_every_sample_once() {
     }
 }
 
-/// More pixels than lavapipe's largest binding holds radiances for, so batches split the image; and more workgroups than
-/// one row of the grid has.
+/// On lavapipe more pixels than its largest binding holds sums for, so batches split the image; on a GPU that binds more,
+/// one batch of more workgroups than a row of the grid has.
 #[test]
 #[ignore = "long: 11.5 million pixels; tests/run --long"]
 fn an_image_larger_than_a_batch_is_whole() {
