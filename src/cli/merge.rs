@@ -95,17 +95,8 @@ impl Shard {
 
     /// Adds another shard, if it is of the same picture and all its samples are new.
     fn add(&mut self, other: Shard) -> Result<(), Failure> {
-        let (path, first) = (other.path.display(), self.path.display());
-        for key in ["scene", "max_bounces", "fingerprint"] {
-            let get = |image: &Image| image.metadata.get(key).unwrap_or("unknown").to_string();
-            let (ours, theirs) = (get(&self.image), get(&other.image));
-            if ours != theirs {
-                return Err(Failure::bad_input(format!(
-                    "cannot merge \"{path}\" ({key} {theirs}) with \"{first}\" ({key} {ours}); \
-                     merge renders of one scene with the same options"
-                )));
-            }
-        }
+        let path = other.path.display();
+        self.same(&other, &["scene", "max_bounces"])?;
         for part in &other.parts {
             if let Some(old) = self.parts.iter().find(|old| overlap(old, part)) {
                 let old_path = old.path.display();
@@ -118,12 +109,29 @@ impl Shard {
         }
         let merged = self.film.merge(&other.film);
         merged.map_err(|e| Failure::bad_input(format!("cannot merge \"{path}\": {e}")))?;
+        self.same(&other, &["fingerprint"])?;
         self.parts.extend(other.parts);
         let (metadata, more) = (&mut self.image.metadata, &other.image.metadata);
         join(metadata, more, "engine");
         join(metadata, more, "device");
         if self.image.features.is_none() {
             self.image.features = other.image.features;
+        }
+        Ok(())
+    }
+
+    /// Refuses another shard whose metadata say otherwise about any of `keys`.
+    fn same(&self, other: &Shard, keys: &[&str]) -> Result<(), Failure> {
+        for key in keys {
+            let get = |image: &Image| image.metadata.get(key).unwrap_or("unknown").to_string();
+            let (ours, theirs) = (get(&self.image), get(&other.image));
+            if ours != theirs {
+                let (path, first) = (other.path.display(), self.path.display());
+                return Err(Failure::bad_input(format!(
+                    "cannot merge \"{path}\" ({key} {theirs}) with \"{first}\" ({key} {ours}); \
+                     merge renders of one scene with the same options"
+                )));
+            }
         }
         Ok(())
     }
