@@ -22,6 +22,7 @@
 //! [`transport`], over [`scene`], [`bsdf`], [`film`], over the mathematics. The kernels under `kernels/` are the GPU's
 //! twins of [`transport`] and what lies below it.
 
+pub mod accel;
 pub mod bsdf;
 pub mod engine;
 pub mod film;
