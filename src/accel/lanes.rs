@@ -81,6 +81,8 @@ impl QuadBlock {
             let t = -dot(normal, from_corner) / dot(normal, direction);
             let p: [f32; 3] = std::array::from_fn(|k| from_corner[k] + direction[k] * t);
             let (a, b) = (dot(p, lane(&self.dual1, i)), dot(p, lane(&self.dual2, i)));
+            // Without branches: `contains` compiles to one and is slower.
+            #[expect(clippy::manual_range_contains)]
             let inside = (a >= 0.0) & (a <= 1.0) & (b >= 0.0) & (b <= 1.0);
             if inside & (t > 0.0) { t } else { T_MISS }
         })
@@ -203,13 +205,15 @@ mod tests {
     #[test]
     fn lanes_find_what_a_loop_over_the_shapes_finds_bit_for_bit() {
         for name in ["cornell-box", "bansal-room-1", "door-ajar", "many-lights", "glossy-box"] {
-            let scene = CompiledScene::new(&Scene::load(format!("scenes/{name}.toml")).unwrap());
-            let size = if name == "cornell-box" || name == "glossy-box" { 555.0 } else { 8.0 };
+            let described = Scene::load(format!("scenes/{name}.toml")).unwrap();
+            let scene = CompiledScene::new(&described);
+            let (eye, target) = (described.camera.origin.as_vec3(), described.camera.target.as_vec3());
+            let size = (target - eye).length();
             let mut hits = 0;
             for i in 0..20_000 {
                 let u = sample4(Sampler::Independent, SampleKey { pixel: i, sample: 1, seed: 3 }, 0);
                 let v = sample4(Sampler::Independent, SampleKey { pixel: i, sample: 2, seed: 3 }, 0);
-                let origin = Vec3::new(u.x, u.y, u.z) * size;
+                let origin = eye.lerp(target, u.z);
                 let direction = (Vec3::new(v.x, v.y, v.z) - 0.5).normalize();
                 let ray = Ray { origin, direction };
                 let hit = intersect_one_by_one(&scene, ray);
@@ -219,7 +223,7 @@ mod tests {
                 let expected = occluded_one_by_one(&scene, ray, t_max, excluded);
                 assert_eq!(scene.lanes.occluded(ray, t_max, excluded), expected, "{name}, ray {i}");
             }
-            assert!(hits > 3_000, "{name}: only {hits} rays hit anything");
+            assert!(hits > 2_000, "{name}: only {hits} rays hit anything");
         }
     }
 }
