@@ -1,7 +1,7 @@
 //! Eight shapes at a time. The same arithmetic as [`crate::scene::shapes`], lane by lane and bit for bit (a test holds it to
 //! that), laid out so that the compiler turns it into vector instructions: AVX2 where the processor has it.
 
-use crate::scene::compiled::{Quad, Sphere};
+use crate::scene::compiled::{CompiledScene, Quad, Sphere};
 use crate::scene::shapes::{Hit, Ray, T_MISS};
 
 const LANES: usize = 8;
@@ -90,7 +90,7 @@ impl QuadBlock {
 }
 
 impl ShapeLanes {
-    pub fn new(spheres: &[Sphere], quads: &[Quad]) -> ShapeLanes {
+    pub fn new(scene: &CompiledScene) -> ShapeLanes {
         let sphere_block = |s: &[Sphere]| SphereBlock {
             center: gather3(s, |s| s.center),
             radius: gather(s, f32::NAN, |s| s.radius),
@@ -102,9 +102,9 @@ impl ShapeLanes {
             dual2: gather3(q, |q| q.dual2),
         };
         ShapeLanes {
-            spheres: spheres.chunks(LANES).map(sphere_block).collect(),
-            quads: quads.chunks(LANES).map(quad_block).collect(),
-            first_quad: spheres.len() as u32,
+            spheres: scene.spheres.chunks(LANES).map(sphere_block).collect(),
+            quads: scene.quads.chunks(LANES).map(quad_block).collect(),
+            first_quad: scene.spheres.len() as u32,
         }
     }
 
@@ -198,8 +198,7 @@ mod tests {
     use super::*;
     use crate::random::{SampleKey, Sampler, sample4};
     use crate::scene::Scene;
-    use crate::scene::compiled::CompiledScene;
-    use crate::scene::shapes::{intersect_one_by_one, occluded_one_by_one};
+    use crate::scene::shapes::{intersect, occluded};
     use glam::Vec3;
 
     #[test]
@@ -207,6 +206,7 @@ mod tests {
         for name in ["cornell-box", "bansal-room-1", "door-ajar", "many-lights", "glossy-box"] {
             let described = Scene::load(format!("scenes/{name}.toml")).unwrap();
             let scene = CompiledScene::new(&described);
+            let lanes = ShapeLanes::new(&scene);
             let (eye, target) = (described.camera.origin.as_vec3(), described.camera.target.as_vec3());
             let size = (target - eye).length();
             let mut hits = 0;
@@ -216,12 +216,12 @@ mod tests {
                 let origin = eye.lerp(target, u.z);
                 let direction = (Vec3::new(v.x, v.y, v.z) - 0.5).normalize();
                 let ray = Ray { origin, direction };
-                let hit = intersect_one_by_one(&scene, ray);
-                assert_eq!(scene.lanes.intersect(ray), hit, "{name}, ray {i}");
+                let hit = intersect(&scene, ray);
+                assert_eq!(lanes.intersect(ray), hit, "{name}, ray {i}");
                 hits += u32::from(hit.is_some());
                 let (t_max, excluded) = (u.w * size, (v.w * 20.0) as u32);
-                let expected = occluded_one_by_one(&scene, ray, t_max, excluded);
-                assert_eq!(scene.lanes.occluded(ray, t_max, excluded), expected, "{name}, ray {i}");
+                let expected = occluded(&scene, ray, t_max, excluded);
+                assert_eq!(lanes.occluded(ray, t_max, excluded), expected, "{name}, ray {i}");
             }
             assert!(hits > 2_000, "{name}: only {hits} rays hit anything");
         }

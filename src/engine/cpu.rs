@@ -1,6 +1,7 @@
 //! The CPU engine: the transport functions over rayon. Also what renders where there is no GPU.
 
 use super::{CancelToken, Engine, EngineKind, RenderError, RenderStats};
+use crate::accel::ShapeLanes;
 use crate::film::Film;
 use crate::random::Sampler;
 use crate::scene::compiled::{CompiledScene, Uniforms};
@@ -11,6 +12,7 @@ use std::time::Instant;
 
 pub struct CpuEngine {
     scene: CompiledScene,
+    lanes: ShapeLanes,
     uniforms: Uniforms,
     sampler: Sampler,
     direct_light: bool,
@@ -35,7 +37,8 @@ impl CpuEngine {
             device: format!("{} threads", rayon::current_num_threads()),
             ..Default::default()
         };
-        CpuEngine { scene, uniforms, sampler, direct_light, roulette, stats }
+        let lanes = ShapeLanes::new(&scene);
+        CpuEngine { scene, lanes, uniforms, sampler, direct_light, roulette, stats }
     }
 
     /// One pass: the samples `range` of every pixel, rows in parallel.
@@ -49,6 +52,7 @@ impl CpuEngine {
         };
         let transport = Transport {
             scene: &self.scene,
+            lanes: &self.lanes,
             uniforms: &uniforms,
             sampler: self.sampler,
             direct_light: self.direct_light,

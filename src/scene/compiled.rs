@@ -1,7 +1,6 @@
 //! The scene as the transport sees it: f32, flat arrays, lights with their table. GPU twin: kernels/scene/data.wesl
 
 use super::{Camera, Geometry, MaterialKind, Scene};
-use crate::accel::ShapeLanes;
 use crate::gpu_struct;
 use crate::sampling::AliasTable;
 use glam::{DVec3, Vec3};
@@ -109,8 +108,6 @@ pub struct CompiledScene {
     pub materials: Vec<Material>,
     pub lights: Vec<Light>,
     pub environment: Vec3,
-    /// The shapes once more, as the CPU engine meets them.
-    pub lanes: ShapeLanes,
 }
 
 impl CompiledScene {
@@ -138,7 +135,6 @@ impl CompiledScene {
             }
         }
         compiled.find_lights();
-        compiled.lanes = ShapeLanes::new(&compiled.spheres, &compiled.quads);
         compiled
     }
 

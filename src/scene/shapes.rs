@@ -70,18 +70,8 @@ pub fn intersect_quad(ray: &Ray, quad: &Quad) -> f32 {
     if inside && t > 0.0 { t } else { T_MISS }
 }
 
-/// The nearest shape that the ray meets.
+/// The nearest shape that the ray meets, by asking one after the other. The CPU engine asks [`crate::accel`] instead.
 pub fn intersect(scene: &CompiledScene, ray: Ray) -> Option<Hit> {
-    scene.lanes.intersect(ray)
-}
-
-/// Whether anything but `excluded` (the light aimed at) lies nearer than `t_max`.
-pub fn occluded(scene: &CompiledScene, ray: Ray, t_max: f32, excluded: u32) -> bool {
-    scene.lanes.occluded(ray, t_max, excluded)
-}
-
-/// [`intersect`] as the kernels do it, one shape after the other: the twin, and what the lanes are tested against.
-pub fn intersect_one_by_one(scene: &CompiledScene, ray: Ray) -> Option<Hit> {
     let mut hit = Hit { t: T_MISS, shape: u32::MAX };
     for (i, sphere) in scene.spheres.iter().enumerate() {
         let t = intersect_sphere(&ray, sphere);
@@ -98,8 +88,8 @@ pub fn intersect_one_by_one(scene: &CompiledScene, ray: Ray) -> Option<Hit> {
     (hit.shape != u32::MAX).then_some(hit)
 }
 
-/// [`occluded`] as the kernels do it.
-pub fn occluded_one_by_one(scene: &CompiledScene, ray: Ray, t_max: f32, excluded: u32) -> bool {
+/// Whether anything but `excluded` (the light aimed at) lies nearer than `t_max`.
+pub fn occluded(scene: &CompiledScene, ray: Ray, t_max: f32, excluded: u32) -> bool {
     let first_quad = scene.spheres.len();
     let blocks = |shape: usize, t: f32| t < t_max && shape as u32 != excluded;
     scene.spheres.iter().enumerate().any(|(i, s)| blocks(i, intersect_sphere(&ray, s)))

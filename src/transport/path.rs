@@ -3,6 +3,7 @@
 
 use super::items::{RayItem, ShadowItem};
 use super::light::{choose_light, pdf_light, sample_light};
+use crate::accel::ShapeLanes;
 use crate::bsdf::{bsdf_evaluate, bsdf_sample};
 use crate::math::mis_weight;
 use crate::random::{DIMENSION_CAMERA, SampleKey, Sampler, dimension_bsdf, dimension_light, sample4};
@@ -15,6 +16,8 @@ use glam::{Vec3, Vec4Swizzles};
 #[derive(Clone, Copy, Debug)]
 pub struct Transport<'a> {
     pub scene: &'a CompiledScene,
+    /// Its shapes, to be intersected.
+    pub lanes: &'a ShapeLanes,
     pub uniforms: &'a Uniforms,
     pub sampler: Sampler,
     /// Next-event estimation, combined with BSDF sampling; needs a light.

@@ -2,7 +2,7 @@
 
 use super::items::RayItem;
 use super::path::Transport;
-use crate::scene::shapes::{Ray, intersect, occluded};
+use crate::scene::shapes::Ray;
 use glam::Vec3;
 
 /// `emitted` and `direct` are to be added to the path's radiance one after the other, as every schedule does.
@@ -16,7 +16,7 @@ pub struct StepOutcome {
 
 impl Transport<'_> {
     pub fn step(&self, ray: &RayItem) -> StepOutcome {
-        let hit = intersect(self.scene, Ray { origin: ray.origin, direction: ray.direction });
+        let hit = self.lanes.intersect(Ray { origin: ray.origin, direction: ray.direction });
         let Some(hit) = hit else {
             return StepOutcome { emitted: self.environment(ray), ..Default::default() };
         };
@@ -24,7 +24,7 @@ impl Transport<'_> {
         let direct = match shaded.shadow {
             Some(shadow) => {
                 let towards = Ray { origin: shadow.origin, direction: shadow.direction };
-                let blocked = occluded(self.scene, towards, shadow.t_max, shadow.light_shape);
+                let blocked = self.lanes.occluded(towards, shadow.t_max, shadow.light_shape);
                 if blocked { Vec3::ZERO } else { shadow.radiance }
             }
             None => Vec3::ZERO,
