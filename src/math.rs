@@ -24,6 +24,12 @@ pub fn mirrored(d: Vec3, n: Vec3) -> Vec3 {
     d - n * (2.0 * d.dot(n))
 }
 
+/// 1 − cos of the angle between unit vectors, without the cancellation: half the square of their distance.
+pub fn one_minus_cos(a: Vec3, b: Vec3) -> f32 {
+    let d = a - b;
+    0.5 * d.dot(d)
+}
+
 /// Weight of the strategy with density `pdf` against one with density `other` (power heuristic, Veach 1997).
 /// As a ratio, so that neither square can overflow. `pdf` must be positive.
 pub fn mis_weight(pdf: f32, other: f32) -> f32 {

@@ -174,7 +174,7 @@ fn bad_scenes_are_refused_with_the_object_and_the_remedy() {
     }
     let huge = BALL.replacen("width = 16", "width = 1000000", 1);
     place.write("bad.toml", huge.replacen("height = 12", "height = 1000000", 1));
-    place.refuses_scene("bad.toml", &["1000000", "56000000000000 bytes"]);
+    place.refuses_scene("bad.toml", &["1000000", "170000000000000 bytes"]);
 }
 
 #[test]
@@ -220,7 +220,7 @@ fn bad_options_are_refused_by_name_with_what_would_do() {
         (&["--size", "10x0"], &["--size", "10 × 0"]),
         (&["--size", "-1x5"], &["--size", "640x480"]),
         (&["--size", "640"], &["--size", "640x480"]),
-        (&["--size", "1000000x1000000"], &["--size", "56000000000000 bytes"]),
+        (&["--size", "1000000x1000000"], &["--size", "170000000000000 bytes"]),
         (&["--size", "65536x65536"], &["--size", "bytes", "GiB"]),
         (&["--seed", "-1"], &["--seed"]),
         (&["--first-sample", "4294967295"], &["--first-sample", "lower"]),

@@ -3,7 +3,7 @@
 //! GPU twin: kernels/bsdf/glossy.wesl
 
 use super::{BsdfSample, BsdfValue};
-use crate::math::{mirrored, to_world};
+use crate::math::{mirrored, one_minus_cos, to_world};
 use crate::sampling::{pdf_phong, sample_phong};
 use crate::scene::compiled::Material;
 use glam::{Vec2, Vec3};
@@ -13,8 +13,8 @@ pub fn evaluate(material: &Material, normal: Vec3, wo: Vec3, wi: Vec3) -> BsdfVa
         return BsdfValue::default();
     }
     let axis = mirrored(-wo, normal);
-    let pdf = pdf_phong(axis.dot(wi), material.parameter)
-        + pdf_phong(axis.dot(mirrored(wi, normal)), material.parameter);
+    let pdf = pdf_phong(one_minus_cos(axis, wi), material.parameter)
+        + pdf_phong(one_minus_cos(axis, mirrored(wi, normal)), material.parameter);
     BsdfValue { value: material.color * pdf, pdf }
 }
 

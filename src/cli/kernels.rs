@@ -21,7 +21,9 @@ pub fn dump(folder: &Path, scene: &Scene, options: &RenderOptions) -> Result<Str
     );
     let schedule = options.schedule.unwrap_or_default();
     let levels = options.max_bounces.unwrap_or(scene.defaults.max_bounces);
+    let wavefront_only = options.schedule.is_some() || options.pool.is_some();
     let megakernel = options.engine == EngineChoice::Auto
+        && !wavefront_only
         && preferred_engine(&compiled, &key, levels) == EngineKind::Megakernel;
     let (stages, of) = match options.engine {
         EngineChoice::Megakernel => (Stage::megakernel(), "the megakernel engine"),

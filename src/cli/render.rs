@@ -9,7 +9,7 @@ use super::signals;
 use super::stats::{self, Report};
 use super::stop::{Goal, State};
 use qtracer::film::{WriteOptions, write_image};
-use qtracer::{CancelToken, EngineKind, Image, RenderError, Renderer};
+use qtracer::{EngineKind, Image, RenderError, Renderer};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -27,11 +27,11 @@ pub fn run(args: RenderArgs) -> Result<(), Failure> {
     let slot = signals::watch();
     let start = Instant::now();
     let mut renderer = Renderer::new(&job.scene, job.options.clone()).map_err(|e| Failure::of_start(&e))?;
-    let cancel = slot.get_or_init(|| renderer.cancel_token()).clone();
+    slot.get_or_init(|| renderer.cancel_token());
     let preparation = start.elapsed();
     renderer.notices().iter().for_each(|text| note(&job, text));
     warn_of_idle_options(&job, renderer.engine());
-    let (end, elapsed) = trace(&mut renderer, &job, &cancel);
+    let (end, elapsed) = trace(&mut renderer, &job);
     Ending::new(&job, &renderer, end, preparation, elapsed).conclude()
 }
 
@@ -63,7 +63,7 @@ enum End {
 }
 
 /// Renders until the goal is reached, someone interrupts or something breaks; tells how long it took.
-fn trace(renderer: &mut Renderer, job: &Job, cancel: &CancelToken) -> (End, Duration) {
+fn trace(renderer: &mut Renderer, job: &Job) -> (End, Duration) {
     let progress = Progress::new(renderer.film().pixels().len() as u64, job.quiet);
     let start = Instant::now();
     let end = loop {
@@ -72,8 +72,8 @@ fn trace(renderer: &mut Renderer, job: &Job, cancel: &CancelToken) -> (End, Dura
         match job.stop.next(&state) {
             0 => break End::Done,
             samples => match renderer.step(samples) {
+                Err(RenderError::Cancelled) => break End::Interrupted,
                 Err(error) => break End::Broken(error),
-                Ok(_) if cancel.is_cancelled() => break End::Interrupted,
                 Ok(_) => (),
             },
         }

@@ -6,6 +6,8 @@ use crate::gpu::error::GpuError;
 pub enum RenderError {
     #[error(transparent)]
     Gpu(#[from] GpuError),
+    #[error("the render was cancelled; what was finished before is kept")]
+    Cancelled,
     #[error(transparent)]
     Scene(#[from] crate::scene::SceneError),
     #[error("{option} {value}: {remedy}")]

@@ -91,17 +91,17 @@ impl GpuFilm {
     }
 
     fn upload_scene(&mut self, scene: &CompiledScene) -> Result<(), RenderError> {
-        let arrays: [(&str, &[u8]); 4] = [
-            ("spheres", bytemuck::cast_slice(&scene.spheres)),
-            ("quads", bytemuck::cast_slice(&scene.quads)),
-            ("materials", bytemuck::cast_slice(&scene.materials)),
-            ("lights", bytemuck::cast_slice(&scene.lights)),
+        let arrays: [(&str, Vec<u8>); 4] = [
+            ("spheres", bytes_of(&scene.spheres)),
+            ("quads", bytes_of(&scene.quads)),
+            ("materials", bytes_of(&scene.materials)),
+            ("lights", bytes_of(&scene.lights)),
         ];
         let small = self.key.small_scene.is_some();
         let usage = if small { BufferUsages::UNIFORM } else { BufferUsages::STORAGE };
         for (name, data) in arrays {
             if self.is_bound(name) {
-                self.buffers.upload(&self.gpu, name, data, usage)?;
+                self.buffers.upload(&self.gpu, name, &data, usage)?;
             }
         }
         let size = size_of::<Uniforms>() as u64;
@@ -207,6 +207,11 @@ impl GpuFilm {
         self.stats.paths += u64::from(batch.paths());
         Ok(())
     }
+}
+
+/// The bytes of `items`, or of one zeroed item: no binding may be empty.
+fn bytes_of<T: bytemuck::Pod>(items: &[T]) -> Vec<u8> {
+    if items.is_empty() { vec![0; size_of::<T>()] } else { bytemuck::cast_slice(items).to_vec() }
 }
 
 impl Clock {

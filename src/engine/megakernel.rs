@@ -24,7 +24,7 @@ impl MegakernelEngine {
         uniforms: Uniforms,
         key: KernelKey,
     ) -> Result<Self, RenderError> {
-        let first = if gpu.summary.software { 1 << 13 } else { 1 << 19 };
+        let first = if gpu.summary.software { 1 << 13 } else { 1 << 16 };
         let stages = Stage::megakernel();
         let gpu = GpuFilm::new(gpu, scene, uniforms, key, &stages, Schedule::Fused, "megakernel")?;
         Ok(MegakernelEngine { gpu, binds: None, pacer: Pacer::new(first) })

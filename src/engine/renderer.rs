@@ -23,6 +23,9 @@ pub struct Renderer {
     samples: u32,
     cancel: CancelToken,
     notices: Vec<String>,
+    /// Why no further step is possible.
+    ended: Option<RenderError>,
+    estimators: [(&'static str, String); 3],
 }
 
 impl Renderer {
@@ -45,12 +48,24 @@ impl Renderer {
             samples: 0,
             cancel: CancelToken::default(),
             notices,
+            ended: None,
+            estimators: [
+                ("sampler", format!("{:?}", options.sampler).to_lowercase()),
+                ("direct_light", options.direct_light.unwrap_or(scene.defaults.direct_light).to_string()),
+                ("roulette", options.roulette.unwrap_or(scene.defaults.roulette).to_string()),
+            ],
         })
     }
 
     /// Renders up to `samples` further samples of each pixel, fewer if that would take long; returns how many it did.
-    /// After cancellation or an error the image of what was done before is still there.
+    ///
+    /// # Errors
+    /// [`RenderError::Cancelled`] once the token was used, whatever failed otherwise; every later call returns the same.
+    /// The image of what was done before is still there.
     pub fn step(&mut self, samples: u32) -> Result<u32, RenderError> {
+        if let Some(error) = &self.ended {
+            return Err(error.clone());
+        }
         let first = self.first_sample.checked_add(self.samples);
         let Some((first, end)) = first.and_then(|f| Some((f, f.checked_add(samples)?))) else {
             let last = u64::from(self.first_sample) + u64::from(self.samples) + u64::from(samples);
@@ -59,9 +74,13 @@ impl Renderer {
         let wanted = self.engine.step_samples().max(1);
         // Steps end at multiples of what the engine likes, so that their blocks of samples do not depend on the steps.
         let step_end = end.min((first / wanted).saturating_add(1).saturating_mul(wanted));
-        self.engine.render(first..step_end, &mut self.film, &self.cancel)?;
-        if self.cancel.is_cancelled() {
-            return Ok(0);
+        let rendered = self.engine.render(first..step_end, &mut self.film, &self.cancel);
+        let cancelled = || if self.cancel.is_cancelled() { Err(RenderError::Cancelled) } else { Ok(()) };
+        if let Err(error) = rendered.and_then(|()| cancelled()) {
+            // Part of the range may be in the film; going on would count it twice.
+            self.samples = u32::try_from(self.film.samples().0).unwrap_or(u32::MAX);
+            self.ended = Some(error.clone());
+            return Err(error);
         }
         self.samples += step_end - first;
         Ok(step_end - first)
@@ -86,6 +105,7 @@ impl Renderer {
         metadata.set("first_sample", self.first_sample);
         metadata.set("samples", self.film.samples().1);
         metadata.set("max_bounces", self.uniforms.max_bounces);
+        self.estimators.iter().for_each(|(key, value)| metadata.set(key, value));
         metadata.set("fingerprint", format!("{:016x}", self.compiled.fingerprint(&self.uniforms)));
         metadata.set("engine", self.engine.kind());
         metadata.set("device", self.engine.device());
@@ -150,7 +170,9 @@ fn build_engine(
         EngineChoice::Wavefront => on_gpu(Gpu::open(adapter)?, EngineKind::Wavefront),
         EngineChoice::Auto => match Gpu::open(adapter) {
             Ok(gpu) if !gpu.summary.software || adapter.is_some() => {
-                on_gpu(gpu, preferred_engine(compiled, &key, uniforms.max_bounces))
+                let wavefront_only = options.schedule.is_some() || options.pool.is_some();
+                let kind = preferred_engine(compiled, &key, uniforms.max_bounces);
+                on_gpu(gpu, if wavefront_only { EngineKind::Wavefront } else { kind })
             }
             Ok(gpu) => {
                 let name = &gpu.summary.name;

@@ -57,7 +57,7 @@ impl WavefrontEngine {
             binds: Vec::new(),
             resolve: None,
             pool,
-            pacer: Pacer::new(4),
+            pacer: Pacer::new(1),
             expected_levels,
         })
     }

@@ -33,7 +33,7 @@ impl Buffers {
         gpu.check()
     }
 
-    /// A storage buffer holding `data` (at least one zeroed element's worth of bytes).
+    /// A storage buffer holding `data`.
     pub fn upload(
         &mut self,
         gpu: &Gpu,

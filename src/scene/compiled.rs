@@ -117,7 +117,10 @@ impl CompiledScene {
             environment: scene.environment.as_vec3(),
             ..Default::default()
         };
-        for shape in &scene.shapes {
+        // Emitters first: where a lamp lies flush in another surface, rays that meet both at once see the lamp.
+        let mut shapes: Vec<_> = scene.shapes.iter().collect();
+        shapes.sort_by_key(|shape| !scene.materials[shape.material].is_emissive());
+        for shape in shapes {
             let (material, kind) = (shape.material as u32, compiled.materials[shape.material].kind);
             match shape.geometry {
                 Geometry::Sphere { center, radius, inward } => compiled.spheres.push(Sphere {

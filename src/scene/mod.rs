@@ -39,6 +39,7 @@
 
 mod boxes;
 pub mod camera;
+mod coincidence;
 pub mod compiled;
 pub mod shapes;
 

@@ -14,8 +14,14 @@ type Check = Result<(), String>;
 const PARALLEL: f64 = 1e-6;
 const LONGEST_SIDE: u64 = 65_536;
 const MOST_PIXELS: u128 = 1 << 28;
-/// Film and output of one pixel.
-const BYTES_PER_PIXEL: u128 = 56;
+/// Film and EXR output of one pixel, as measured at 4096 × 4096.
+const BYTES_PER_PIXEL: u128 = 170;
+/// Coordinates and sizes beyond which squares, volumes and areas would overflow an f32.
+const LARGEST: f64 = 1e9;
+/// Sizes below which areas would vanish in f32.
+const SMALLEST: f64 = 1e-12;
+/// Radiance whose sums of squares still fit into f32.
+const BRIGHTEST: f64 = 1e15;
 const MOST_BOUNCES: u32 = 64;
 const LARGEST_EXPONENT: f64 = 1e6;
 const LARGEST_IOR: f64 = 10.0;
@@ -87,8 +93,8 @@ pub(super) fn unique(is_new: bool) -> Check {
 }
 
 pub(super) fn camera(camera: &Camera) -> Check {
-    finite_vec("origin", camera.origin)?;
-    finite_vec("target", camera.target)?;
+    position("origin", camera.origin)?;
+    position("target", camera.target)?;
     finite_vec("up", camera.up)?;
     finite("fov_y_deg", camera.fov_y_deg)?;
     check_image_size(camera.width.into(), camera.height.into()).map_err(|e| e.to_string())?;
@@ -175,27 +181,27 @@ pub(super) fn boxed(center: DVec3, size: DVec3, rotate_y_deg: f64) -> Check {
 }
 
 fn sphere(center: DVec3, radius: f64) -> Check {
-    finite_vec("center", center)?;
+    position("center", center)?;
     finite("radius", radius)?;
     ensure(radius != 0.0, || "radius is 0; give a positive radius or remove the sphere".into())?;
     ensure(radius > 0.0, || {
         format!("radius {radius} is negative; use inward = true to turn a sphere inside out")
     })?;
-    ensure(radius as f32 > 0.0, || format!("radius {radius:e} is 0 as a 32-bit float; scale the scene up"))?;
-    finite_vec("center + radius", center + radius)
-        .and_then(|()| finite_vec("center - radius", center - radius))
+    ensure(radius <= LARGEST, || format!("radius {radius:e} is above {LARGEST:e}; scale the scene down"))?;
+    ensure(radius >= SMALLEST, || format!("radius {radius:e} is below {SMALLEST:e}; scale the scene up"))
 }
 
 fn quad(corner: DVec3, e1: DVec3, e2: DVec3) -> Check {
-    finite_vec("corner", corner)?;
+    position("corner", corner)?;
     for (key, edge) in [("e1", e1), ("e2", e2)] {
-        finite_vec(key, edge)?;
-        finite_vec(&format!("corner + {key}"), corner + edge)?;
+        position(key, edge)?;
         ensure(edge.as_vec3() != glam::Vec3::ZERO, || {
             format!("edge {key} is zero; give the vector along that side")
         })?;
+        ensure(edge.length() >= SMALLEST, || {
+            format!("edge {key} {} is shorter than {SMALLEST:e}; scale the scene up", list(edge))
+        })?;
     }
-    finite_vec("corner + e1 + e2", corner + e1 + e2)?;
     ensure(!parallel(e1, e2), || {
         format!("edges {} and {} are parallel, so it has no area; turn one of them", list(e1), list(e2))
     })
@@ -218,6 +224,17 @@ pub(super) fn light(key: &str, color: DVec3) -> Check {
     finite_vec(key, color)?;
     ensure(color.min_element() >= 0.0, || {
         format!("{key} {} is negative; light can't be, use 0 or more", list(color))
+    })?;
+    ensure(color.max_element() <= BRIGHTEST, || {
+        format!("{key} {} is too bright to be squared in 32 bits; stay within {BRIGHTEST:e}", list(color))
+    })
+}
+
+/// A place or an extent: finite, and small enough that its square fits into an f32 with room to spare.
+fn position(key: &str, vector: DVec3) -> Check {
+    finite_vec(key, vector)?;
+    ensure(vector.abs().max_element() <= LARGEST, || {
+        format!("{key} {} has a coordinate beyond ±{LARGEST:e}; scale the scene down", list(vector))
     })
 }
 

@@ -2,8 +2,10 @@
 
 use std::fmt;
 
+use super::coincidence::coincident;
 use super::error::quoted;
-use super::{Material, Scene};
+use super::validate::shape_label;
+use super::{Material, Scene, Shape};
 
 /// Something odd about a valid scene.
 #[derive(Clone, Debug, PartialEq)]
@@ -17,6 +19,13 @@ pub enum SceneWarning {
         material: String,
         /// The largest channel.
         largest: f64,
+    },
+    /// A lamp coincides with another shape: rounding decides which of the two a ray meets.
+    FlushLamp {
+        /// The lamp, as errors call it.
+        lamp: String,
+        /// The shape in whose surface it lies.
+        other: String,
     },
 }
 
@@ -33,6 +42,11 @@ impl fmt::Display for SceneWarning {
                 "material {}: a color of {largest} is above 1, so each bounce adds energy; lower it to 1 or less",
                 quoted(material)
             ),
+            Self::FlushLamp { lamp, other } => write!(
+                f,
+                "{lamp} lies in the surface of {other}, so rounding decides which of the two a ray meets; move the lamp \
+                 off it a little, to the side that it lights"
+            ),
         }
     }
 }
@@ -45,7 +59,25 @@ impl Scene {
             warnings.push(SceneWarning::NoLight);
         }
         warnings.extend(self.materials.iter().filter_map(albedo_warning));
+        warnings.extend(self.flush_lamps());
         warnings
+    }
+
+    /// One warning for each lamp that coincides with another shape.
+    fn flush_lamps(&self) -> Vec<SceneWarning> {
+        let emits = |shape: &Shape| self.materials.get(shape.material).is_some_and(Material::is_emissive);
+        let label = |index: usize| shape_label(index, self.shapes[index].name.as_deref());
+        let lamps = self.shapes.iter().enumerate().filter(|(_, shape)| emits(shape));
+        let other = |lamp: usize| {
+            let coincides =
+                |i: &usize| *i != lamp && coincident(&self.shapes[lamp].geometry, &self.shapes[*i].geometry);
+            (0..self.shapes.len()).find(coincides)
+        };
+        lamps
+            .filter_map(|(lamp, _)| {
+                Some(SceneWarning::FlushLamp { lamp: label(lamp), other: label(other(lamp)?) })
+            })
+            .collect()
     }
 
     fn has_light(&self) -> bool {

@@ -36,6 +36,9 @@ pub struct ShadeOutcome {
     pub ray: Option<RayItem>,
 }
 
+/// Where a shadow ray ends, as a share of the distance to the light: 1 − 2⁻²⁰, so that a surface in which a lamp lies
+/// flush does not shade it by rounding.
+pub const SHADOW_END: f32 = 1.0 - 9.536_743e-7;
 /// Bounces from which roulette is played: the fourth surface and later ones.
 pub const ROULETTE_FROM_BOUNCE: u32 = 3;
 
@@ -81,10 +84,12 @@ impl Transport<'_> {
         }
         let mut weight = 1.0;
         if self.direct_light && ray.pdf > 0.0 {
-            let light = shape_info(self.scene, hit.shape).light as usize;
-            let pdf = self.scene.lights[light].pick_probability
-                * pdf_light(self.scene, ray.origin, hit.shape, ray.direction, hit.t);
-            weight = mis_weight(ray.pdf, pdf);
+            let light = shape_info(self.scene, hit.shape).light;
+            if let Some(light) = self.scene.lights.get(light as usize) {
+                let pdf = light.pick_probability
+                    * pdf_light(self.scene, ray.origin, hit.shape, ray.direction, hit.t);
+                weight = mis_weight(ray.pdf, pdf);
+            }
         }
         ray.throughput * material.emission * weight
     }
@@ -115,7 +120,7 @@ impl Transport<'_> {
         let radiance = ray.throughput * bsdf.value * emission * (mis_weight(pdf, bsdf.pdf) / pdf);
         Some(ShadowItem {
             origin,
-            t_max: towards.t,
+            t_max: towards.t * SHADOW_END,
             direction: towards.wi,
             path: ray.path,
             radiance,

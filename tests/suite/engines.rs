@@ -2,8 +2,9 @@
 
 use crate::support::*;
 use qtracer::gpu::stage::{BLOCK, Schedule};
+use qtracer::scene::{Material, SceneBuilder};
 use qtracer::stats::{ZTestOptions, differences, z_test};
-use qtracer::{Film, Image, RenderOptions, Sampler, Scene};
+use qtracer::{Film, Image, RenderError, RenderOptions, Renderer, Sampler, Scene};
 
 /// A small size of the scene's own shape.
 fn thumbnail(scene: &Scene, seed: u32) -> RenderOptions {
@@ -182,6 +183,64 @@ fn every_estimator_converges_to_the_same_image() {
     for other in &renders[1..] {
         assert!(mean_z(&renders[0], other) < 4.0, "{}", mean_z(&renders[0], other));
     }
+}
+
+/// A lamp flush in the ceiling is seen by camera rays, by scattered rays and by shadow rays alike, whichever of the two
+/// shapes the scene lists first, and the scene warns of it.
+#[test]
+fn a_lamp_flush_in_the_ceiling_shines_for_every_estimator() {
+    let build = |lamp_first: bool| {
+        let mut scene = Scene::builder("flush lamp")
+            .camera([0.0, 1.0, 3.9], [0.0, 1.0, 0.0], 60.0)
+            .material("wall", Material::diffuse([0.5; 3]))
+            .material("lamp", Material::diffuse([0.0; 3]).emitting([5.0; 3]));
+        let lamp = |s: SceneBuilder| s.quad([-1.0, 2.0, -1.0], [2.0, 0.0, 0.0], [0.0, 0.0, 2.0], "lamp");
+        if lamp_first {
+            scene = lamp(scene);
+        }
+        scene = scene
+            .quad([-4.0, 2.0, -4.0], [8.0, 0.0, 0.0], [0.0, 0.0, 8.0], "wall")
+            .quad([-4.0, 0.0, -4.0], [0.0, 0.0, 8.0], [8.0, 0.0, 0.0], "wall")
+            .quad([-4.0, 0.0, -4.0], [8.0, 0.0, 0.0], [0.0, 2.0, 0.0], "wall");
+        if lamp_first { scene } else { lamp(scene) }.build().unwrap()
+    };
+    for scene in [build(true), build(false)] {
+        assert_eq!(scene.warnings().len(), 1, "{:?}", scene.warnings());
+        let renders = [(true, 70), (false, 71)].map(|(direct_light, seed)| {
+            let options = RenderOptions { direct_light: Some(direct_light), ..small(16, 16, seed) };
+            render(&scene, Engine::Cpu, &options, if direct_light { 512 } else { 2048 }).image
+        });
+        assert!(mean_z(&renders[0], &renders[1]) < 4.0, "{}", mean_z(&renders[0], &renders[1]));
+    }
+}
+
+/// A scene of sky alone has no materials: its arrays are empty and its bindings are not.
+#[test]
+fn a_scene_without_shapes_is_its_sky_on_every_engine() {
+    let scene = Scene::builder("sky")
+        .camera([0.0; 3], [0.0, 0.0, -1.0], 60.0)
+        .environment([0.25, 0.5, 1.0])
+        .build()
+        .unwrap();
+    for engine in ENGINES {
+        let image = render(&scene, engine, &small(8, 6, 0), 4).image;
+        assert!(image.rgb.iter().all(|&p| p == [0.25, 0.5, 1.0]), "{engine:?}");
+    }
+}
+
+#[test]
+fn a_cancelled_render_says_so_and_keeps_what_it_has() {
+    let (scene, options) = room();
+    let mut renderer = Renderer::new(&scene, RenderOptions { ..Engine::Cpu.with(&options) }).unwrap();
+    while renderer.samples() < 3 {
+        renderer.step(3 - renderer.samples()).unwrap();
+    }
+    let before = renderer.film().clone();
+    renderer.cancel_token().cancel();
+    for _ in 0..2 {
+        assert!(matches!(renderer.step(5), Err(RenderError::Cancelled)));
+    }
+    assert_eq!((renderer.samples(), renderer.film() == &before), (3, true));
 }
 
 fn room() -> (Scene, RenderOptions) {

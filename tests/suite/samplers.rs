@@ -7,7 +7,7 @@ use glam::{DVec3, Vec2, Vec3, Vec4Swizzles};
 use proptest::prelude::*;
 use qtracer::Sampler;
 use qtracer::bsdf::{BsdfSample, bsdf_evaluate, bsdf_sample, fresnel};
-use qtracer::math::{frame_around, mis_weight, to_world};
+use qtracer::math::{frame_around, mis_weight, one_minus_cos, to_world};
 use qtracer::random::{SampleKey, sample4};
 use qtracer::sampling::{
     AliasTable, pdf_cone, pdf_cosine, pdf_phong, sample_cone, sample_cosine, sample_phong,
@@ -144,7 +144,7 @@ fn phong_directions_follow_their_density() {
         let bottom = if exponent < 5.0 { 0.0 } else { 1e-4f64.powf(1.0 / (f64::from(exponent) + 1.0)) };
         let cells = Cells { bottom, top: 1.0, rows: 16, columns: 12, axis: Vec3::Z };
         let sample = |i| Some(sample_phong(draw(i).xy(), exponent)).filter(|d| f64::from(d.z) >= bottom);
-        let pdf = |n: f32| move |d: Vec3| f64::from(pdf_phong(d.z, n));
+        let pdf = |n: f32| move |d: Vec3| f64::from(pdf_phong(1.0 - d.z, n));
         let p = cells.chi2(sample, pdf(exponent));
         assert!(p > ALPHA, "exponent {exponent}: p = {p}");
         assert!(cells.chi2(sample, pdf(exponent * 1.05 + 0.05)) < WRONG);
@@ -203,7 +203,7 @@ fn bsdf_directions_follow_their_density() {
     let cells = Cells { rows: 24, columns: 16, ..Cells::hemisphere(normal) };
     let axis = -wo + normal * (2.0 * wo.dot(normal));
     let sample = |i| Some(scattered(&glossy, normal, wo, i).wi);
-    assert!(cells.chi2(sample, |d| f64::from(pdf_phong(axis.dot(d), 20.0))) < WRONG);
+    assert!(cells.chi2(sample, |d| f64::from(pdf_phong(1.0 - axis.dot(d), 20.0))) < WRONG);
 }
 
 /// weight · pdf = f·cosθ, and both densities are one, wherever a direction is drawn; and no sample is below the horizon.
@@ -252,6 +252,31 @@ fn a_mirror_reflects_as_often_as_its_level_says() {
         let delta = (0..n).filter(|&i| scattered(&mirror, normal, wo, i).pdf == 0.0).count() as f64;
         let (p, n) = (f64::from(level), f64::from(n));
         assert!((delta - n * p).abs() <= 4.0 * (n * p * (1.0 - p)).sqrt(), "level {level}: {delta} of {n}");
+    }
+}
+
+/// Narrow lobes: the density that f32 evaluates is that of f64, relative to the direction's own error.
+#[test]
+fn phong_densities_of_narrow_lobes_are_right_to_1e_4() {
+    for exponent in [1e4, 1e5, 1e6f64] {
+        for step in 1..60 {
+            let x = f64::from(step) * 0.1 / exponent;
+            let exact = (exponent + 1.0) / (2.0 * PI) * (exponent * (-x).ln_1p()).exp();
+            let density = f64::from(pdf_phong(x as f32, exponent as f32));
+            assert!(
+                (density / exact - 1.0).abs() < 1e-4,
+                "n {exponent:e}, 1 − cos {x:e}: {density} for {exact}"
+            );
+        }
+        // A sampled direction knows its own distance from the axis.
+        let axis = Vec3::new(0.3, -0.5, 0.81).normalize();
+        for i in 0..1000 {
+            let u = draw(i);
+            let wi = to_world(sample_phong(u.xy(), exponent as f32), axis);
+            let exact = -(1.0 - f64::from(u.x)).ln() / (exponent + 1.0);
+            let x = f64::from(one_minus_cos(axis, wi));
+            assert!((x - exact).abs() < 3e-3 * exact + 1e-9, "n {exponent:e}: {x:e} for {exact:e}");
+        }
     }
 }
 

@@ -26,13 +26,14 @@ fn numbers_must_be_finite_as_f32() {
     assert_says(&broken("radius = 0.5", "radius = -inf"), &["shapes[1]", "infinite"]);
     assert_says(&broken("radius = 0.5", "radius = 1e39"), &["shapes[1]", "too large", "scale"]);
     assert_says(&broken("radius = 0.5", "radius = 1e999"), &["shapes[1]", "infinite"]);
-    assert_says(&broken("radius = 0.5", "radius = 1e-60"), &["shapes[1]", "32-bit"]);
+    assert_says(&broken("radius = 0.5", "radius = 1e-60"), &["shapes[1]", "below 1e-12", "scale"]);
     assert_says(&broken("origin = [0, 1, 4]", "origin = [0, nan, 4]"), &["camera: origin", "finite"]);
     assert_says(&broken("corner = [-1, 0, -1]", "corner = [inf, 0, -1]"), &["shapes[0]: corner"]);
     assert_says(
         &broken("[0, 3, 0]\nradius = 0.5", "[3e38, 3, 0]\nradius = 1e38"),
-        &["shapes[1]", "center + radius", "too large"],
+        &["shapes[1]", "center", "beyond ±1e9", "scale"],
     );
+    assert_says(&broken("radius = 0.5", "radius = 1e10"), &["shapes[1]", "above 1e9", "scale"]);
     assert_says(&broken("level = 0.5", "level = nan"), &[r#"material "polished": level"#]);
     assert_says(&broken("fov_y_deg = 40", "fov_y_deg = nan"), &["camera: fov_y_deg"]);
 }
@@ -88,8 +89,8 @@ fn image_sizes_are_bounded() {
     assert_eq!(check_image_size(16_384, 16_384), Ok((16_384, 16_384)));
     let message = |width, height| check_image_size(width, height).expect_err("refused").to_string();
     assert_says(&message(0, 480), &["0 × 480", "no pixels"]);
-    assert_says(&message(32_768, 16_384), &["32768 × 16384", "30064771072 bytes", "56 a pixel"]);
-    assert_says(&message(1_000_000, 1_000_000), &["would need 56000000000000 bytes"]);
+    assert_says(&message(32_768, 16_384), &["32768 × 16384", "91268055040 bytes", "170 a pixel"]);
+    assert_says(&message(1_000_000, 1_000_000), &["would need 170000000000000 bytes"]);
     assert_says(&message(1_000_000, 2), &["too large", "65536"]);
     assert_says(&message(u64::MAX, u64::MAX), &["too large", "65536"]);
 }
