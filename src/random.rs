@@ -9,8 +9,8 @@ use glam::Vec4;
 pub enum Sampler {
     /// Every sample is independent of every other: standard errors are exact.
     Independent,
-    /// Every event's numbers follow a low-discrepancy sequence over the samples of the pixel: less noise; the standard
-    /// errors, which are estimated as if samples were independent, are then upper bounds.
+    /// Every event's numbers follow a low-discrepancy sequence over the samples of the pixel: less noise as a
+    /// rule; the standard errors, which are estimated as if samples were independent, are then usually too large.
     #[default]
     Stratified,
 }

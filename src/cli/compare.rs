@@ -86,6 +86,8 @@ pub fn run(args: &CompareArgs) -> Result<(), Failure> {
     options.z_test.alpha = args.alpha;
     let comparison = Comparison::new(&a.view(), &b.view(), &options).map_err(Failure::bad_input)?;
     note_exact_images(args, &a, &b);
+    note_stratified(&args.a, &a);
+    note_stratified(&args.b, &b);
     if args.json {
         console::json(&Named {
             image: args.a.display().to_string(),
@@ -159,6 +161,17 @@ fn read_errors(path: &Path, image: &Image, errors: &Path) -> Result<Vec<[f32; 3]
     }
     console::note(format!("standard errors of \"{path}\" are from \"{errors}\""));
     Ok(read.rgb)
+}
+
+/// Errors of evenly spread samples are estimated too large, so that a z-test passes too easily.
+fn note_stratified(path: &Path, image: &Image) {
+    if image.standard_error.is_some() && image.metadata.get("sampler") == Some("stratified") {
+        let path = path.display();
+        console::note(format!(
+            "\"{path}\" has stratified samples, whose standard errors are too large as a rule; \
+             for a strict z-test render with --sampler independent"
+        ));
+    }
 }
 
 /// A z-test against an image without errors takes it as exact, which must be meant.

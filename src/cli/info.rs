@@ -3,9 +3,7 @@
 use super::console;
 use super::failure::Failure;
 use clap::Args;
-use qtracer::gpu::device::{AdapterSummary, list_adapters};
-use qtracer::scene::Material;
-use qtracer::{RenderError, RenderOptions, Renderer, Scene};
+use qtracer::gpu::device::{AdapterSummary, Gpu, list_adapters};
 use serde::Serialize;
 use std::fmt::Write;
 
@@ -35,8 +33,8 @@ struct Info {
 /// What `--engine auto` picks.
 #[derive(Serialize)]
 struct Auto {
-    engine: Option<String>,
-    device: Option<String>,
+    engine: String,
+    device: String,
     why: String,
 }
 
@@ -53,31 +51,25 @@ pub fn run(args: &InfoArgs) -> Result<(), Failure> {
     }
 }
 
-/// Asks the renderer itself, with a scene that costs nothing, so that this never says other than what it does.
+/// What `--engine auto` does on this machine; between the GPU engines it decides by the scene.
 fn auto() -> Auto {
-    match smallest_renderer() {
-        Ok(renderer) => Auto {
-            engine: Some(renderer.engine().to_string()),
-            device: Some(renderer.device()),
-            why: match renderer.notices() {
-                [] => "the first real GPU".to_string(),
-                notices => notices.join("; "),
-            },
+    match Gpu::open(None) {
+        Ok(gpu) if gpu.summary.software => Auto {
+            engine: "cpu".into(),
+            device: format!("{} threads", rayon::current_num_threads()),
+            why: format!("the only adapter is a software one ({})", gpu.summary.name),
         },
-        Err(error) => Auto { engine: None, device: None, why: error },
+        Ok(gpu) => Auto {
+            engine: "wavefront or megakernel, by scene".into(),
+            device: gpu.summary.name.clone(),
+            why: "the first real GPU; few shapes or short paths go to the megakernel".into(),
+        },
+        Err(error) => Auto {
+            engine: "cpu".into(),
+            device: format!("{} threads", rayon::current_num_threads()),
+            why: error.to_string(),
+        },
     }
-}
-
-fn smallest_renderer() -> Result<Renderer, String> {
-    let scene = Scene::builder("probe")
-        .camera([0.0, 0.0, 4.0], [0.0; 3], 45.0)
-        .size(1, 1)
-        .environment([1.0; 3])
-        .material("grey", Material::diffuse([0.5; 3]))
-        .sphere([0.0; 3], 1.0, "grey")
-        .build()
-        .map_err(|e| e.to_string())?;
-    Renderer::new(&scene, RenderOptions::default()).map_err(|e: RenderError| e.to_string())
 }
 
 fn text(info: &Info) -> String {
@@ -103,8 +95,6 @@ fn text(info: &Info) -> String {
         );
     }
     let Auto { engine, device, why } = &info.auto;
-    let engine = engine.as_deref().unwrap_or("nothing");
-    let device = device.as_ref().map(|d| format!(" on {d}")).unwrap_or_default();
-    let _ = writeln!(text, "auto  {engine}{device}: {why}");
+    let _ = writeln!(text, "auto  {engine} on {device}: {why}");
     text
 }

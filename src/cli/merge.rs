@@ -15,7 +15,7 @@ Examples:
   qtracer render room.toml --spp 512 -o a.exr
   qtracer render room.toml --spp 512 --first-sample 512 -o b.exr
   qtracer merge a.exr b.exr -o room.exr
-      The same as one render of 1024 samples.
+      The same as one render of 1024 samples, to about 1e-6 (the library's Film::merge: to the bit).
   qtracer merge seed1.exr seed2.exr seed3.exr -o room.exr
       Renders of different seeds can be merged too.
   qtracer merge room.exr c.exr -o room.exr
@@ -129,7 +129,7 @@ impl Shard {
                 let (path, first) = (other.path.display(), self.path.display());
                 return Err(Failure::bad_input(format!(
                     "cannot merge \"{path}\" ({key} {theirs}) with \"{first}\" ({key} {ours}); \
-                     merge renders of one scene with the same options"
+                     merge renders of one scene, seen alike"
                 )));
             }
         }
