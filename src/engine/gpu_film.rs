@@ -30,6 +30,7 @@ pub struct GpuFilm {
     pub stats: RenderStats,
     /// Paths of the largest batch.
     pub max_paths: u32,
+    resolve_bind: Option<wgpu::BindGroup>,
     clock: Clock,
 }
 
@@ -79,6 +80,7 @@ impl GpuFilm {
             buffers: Buffers::default(),
             uniforms,
             max_paths,
+            resolve_bind: None,
             clock,
         };
         film.upload_scene(scene)?;
@@ -122,7 +124,18 @@ impl GpuFilm {
         self.buffers.create(&self.gpu, "radiance", radiance, usage)?;
         self.buffers.create(&self.gpu, "block_sums", sums, usage)?;
         self.stats.buffers = self.buffers.bytes();
+        self.resolve_bind = Some(self.bind(Stage::Resolve, &[]));
         Ok(true)
+    }
+
+    /// Binds the buffers of a stage, with some renamed; see [`Kernel::bind`].
+    pub fn bind(&self, stage: Stage, renamed: &[(&str, &str)]) -> wgpu::BindGroup {
+        self.kernels[&stage].bind(&self.gpu, &self.buffers, renamed)
+    }
+
+    /// Pixels of the image.
+    pub fn pixels(&self) -> u32 {
+        self.uniforms.width * self.uniforms.height
     }
 
     /// The uniforms of a batch.
@@ -183,17 +196,13 @@ impl GpuFilm {
     }
 
     /// Sums the batch's radiance per pixel and block, and adds the sums to the host's film.
-    pub fn resolve(
-        &mut self,
-        batch: &Batch,
-        bind: &wgpu::BindGroup,
-        film: &mut Film,
-    ) -> Result<(), RenderError> {
+    pub fn resolve(&mut self, batch: &Batch, film: &mut Film) -> Result<(), RenderError> {
+        let bind = self.resolve_bind.clone();
         let items = batch.pixel_count * batch.blocks();
         let (bytes, _) = self.submit(Some("block_sums"), |this, pass| {
             let kernel = &this.kernels[&Stage::Resolve];
             pass.set_pipeline(&kernel.pipeline);
-            pass.set_bind_group(0, bind, &[]);
+            pass.set_bind_group(0, bind.as_ref(), &[]);
             let [x, y] = grid(items);
             pass.dispatch_workgroups(x, y, 1);
         })?;

@@ -1,19 +1,16 @@
 //! The megakernel engine: a whole path per invocation. Its dispatches cover ranges of paths.
 
-use super::batch::{batch_samples, batches};
 use super::gpu_film::{GpuFilm, Pacer, grid};
-use super::{Batch, CancelToken, Engine, EngineKind, RenderError, RenderStats};
-use crate::film::Film;
+use super::tracer::Tracer;
+use super::{Batch, CancelToken, EngineKind, RenderError};
 use crate::gpu::device::Gpu;
 use crate::gpu::key::KernelKey;
 use crate::gpu::stage::{Schedule, Stage};
 use crate::scene::compiled::{CompiledScene, Uniforms};
-use std::ops::Range;
-use std::time::Instant;
 
 pub struct MegakernelEngine {
     gpu: GpuFilm,
-    binds: Option<(wgpu::BindGroup, wgpu::BindGroup)>,
+    bind: Option<wgpu::BindGroup>,
     pacer: Pacer,
 }
 
@@ -27,10 +24,28 @@ impl MegakernelEngine {
         let first = if gpu.summary.software { 1 << 13 } else { 1 << 16 };
         let stages = Stage::megakernel();
         let gpu = GpuFilm::new(gpu, scene, uniforms, key, &stages, Schedule::Fused, "megakernel")?;
-        Ok(MegakernelEngine { gpu, binds: None, pacer: Pacer::new(first) })
+        Ok(MegakernelEngine { gpu, bind: None, pacer: Pacer::new(first) })
+    }
+}
+
+impl Tracer for MegakernelEngine {
+    const KIND: EngineKind = EngineKind::Megakernel;
+
+    fn gpu(&self) -> &GpuFilm {
+        &self.gpu
+    }
+    fn gpu_mut(&mut self) -> &mut GpuFilm {
+        &mut self.gpu
     }
 
-    /// Traces a batch in dispatches of paced size; false if cancelled.
+    fn prepare(&mut self, batch: &Batch) -> Result<(), RenderError> {
+        if self.gpu.reserve(batch)? || self.bind.is_none() {
+            self.bind = Some(self.gpu.bind(Stage::Megakernel, &[]));
+        }
+        Ok(())
+    }
+
+    /// In dispatches of paced size.
     fn trace(&mut self, batch: &Batch, cancel: &CancelToken) -> Result<bool, RenderError> {
         let uniforms = self.gpu.batch_uniforms(batch);
         let mut path = 0;
@@ -40,7 +55,7 @@ impl MegakernelEngine {
             }
             let count = self.pacer.amount().min(batch.paths() - path);
             self.gpu.write_uniforms(&Uniforms { first_path: path, path_count: count, ..uniforms });
-            let bind = self.binds.as_ref().map(|(bind, _)| bind);
+            let bind = self.bind.as_ref();
             let (_, seconds) = self.gpu.submit(None, |this, pass| {
                 pass.set_pipeline(&this.kernels[&Stage::Megakernel].pipeline);
                 pass.set_bind_group(0, bind, &[]);
@@ -51,47 +66,5 @@ impl MegakernelEngine {
             path += count;
         }
         Ok(true)
-    }
-}
-
-impl Engine for MegakernelEngine {
-    fn kind(&self) -> EngineKind {
-        EngineKind::Megakernel
-    }
-
-    fn device(&self) -> String {
-        self.gpu.stats.device.clone()
-    }
-
-    fn render(
-        &mut self,
-        range: Range<u32>,
-        film: &mut Film,
-        cancel: &CancelToken,
-    ) -> Result<(), RenderError> {
-        let start = Instant::now();
-        let pixels = self.gpu.uniforms.width * self.gpu.uniforms.height;
-        for batch in batches(pixels, range, self.gpu.max_paths) {
-            if self.gpu.reserve(&batch)? || self.binds.is_none() {
-                let bind = |stage| self.gpu.kernels[&stage].bind(&self.gpu.gpu, &self.gpu.buffers, &[]);
-                self.binds = Some((bind(Stage::Megakernel), bind(Stage::Resolve)));
-            }
-            if !self.trace(&batch, cancel)? {
-                break;
-            }
-            if let Some((_, resolve)) = &self.binds {
-                self.gpu.resolve(&batch, resolve, film)?;
-            }
-        }
-        self.gpu.stats.seconds += start.elapsed().as_secs_f64();
-        Ok(())
-    }
-
-    fn step_samples(&self) -> u32 {
-        batch_samples(self.gpu.uniforms.width * self.gpu.uniforms.height, self.gpu.max_paths)
-    }
-
-    fn stats(&self) -> RenderStats {
-        self.gpu.stats.clone()
     }
 }

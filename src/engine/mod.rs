@@ -10,6 +10,7 @@ mod megakernel;
 mod options;
 mod renderer;
 mod stats;
+mod tracer;
 mod wavefront;
 
 pub use auto::preferred_engine;

@@ -1,18 +1,15 @@
 //! The wavefront engine: a kernel per stage, rays in explicit bounded queues. The host records levels; the queues'
 //! lengths stay on the GPU, where they become indirect arguments. docs/KERNELS.md tells the stages' contracts.
 
-use super::batch::{batch_samples, batches};
 use super::gpu_film::{GpuFilm, Pacer};
-use super::{Batch, CancelToken, Engine, EngineKind, RenderError, RenderOptions, RenderStats};
-use crate::film::Film;
+use super::tracer::Tracer;
+use super::{Batch, CancelToken, EngineKind, RenderError, RenderOptions};
 use crate::gpu::device::Gpu;
 use crate::gpu::error::GpuError;
-use crate::gpu::key::{KIND_NAMES, KernelKey};
-use crate::gpu::stage::{Counter, Stage, argument_words, counter_words};
+use crate::gpu::key::KernelKey;
+use crate::gpu::stage::{Counter, Stage, argument_words, counter_words, queue_names};
 use crate::scene::compiled::{CompiledScene, Uniforms};
 use crate::transport::items::{HitItem, RayItem, ShadowItem};
-use std::ops::Range;
-use std::time::Instant;
 use wgpu::BufferUsages;
 
 /// Rays in flight by kind of adapter, where --pool does not say.
@@ -26,7 +23,6 @@ pub struct WavefrontEngine {
     level: Vec<Stage>,
     /// Bind groups of each stage of a level when it reads the first ray queue, and when it reads the second.
     binds: Vec<[wgpu::BindGroup; 2]>,
-    resolve: Option<wgpu::BindGroup>,
     pool: u32,
     pacer: Pacer,
     /// Levels that the last batch needed: how many to record at first.
@@ -51,15 +47,7 @@ impl WavefrontEngine {
         let gpu = GpuFilm::new(gpu, scene, uniforms, key, &level, schedule, "wavefront")?;
         level.retain(|&stage| stage != Stage::Resolve);
         let expected_levels = uniforms.max_bounces + 1;
-        Ok(WavefrontEngine {
-            gpu,
-            level,
-            binds: Vec::new(),
-            resolve: None,
-            pool,
-            pacer: Pacer::new(1),
-            expected_levels,
-        })
+        Ok(WavefrontEngine { gpu, level, binds: Vec::new(), pool, pacer: Pacer::new(1), expected_levels })
     }
 
     /// Rays per queue for a batch: the pool, less if the batch is smaller or a binding can't hold it.
@@ -68,34 +56,6 @@ impl WavefrontEngine {
         let widest = hit_bytes.max(size_of::<RayItem>() as u64);
         let fitting = self.gpu.gpu.summary.max_binding.min(self.gpu.gpu.summary.max_buffer) / widest;
         self.pool.min(batch.paths()).min(fitting.min(u64::from(u32::MAX)) as u32)
-    }
-
-    /// Makes queues and bind groups for batches of this size.
-    fn prepare(&mut self, batch: &Batch) -> Result<(), RenderError> {
-        let capacity = self.capacity(batch);
-        let grown = self.gpu.reserve(batch)?;
-        if !grown && !self.binds.is_empty() && self.gpu.uniforms.capacity >= capacity {
-            return Ok(());
-        }
-        self.gpu.uniforms.capacity = capacity.max(self.gpu.uniforms.capacity);
-        self.create_queues()?;
-        let gpu = &self.gpu;
-        let bind =
-            |stage: Stage, names: &[(&str, &str)]| gpu.kernels[&stage].bind(&gpu.gpu, &gpu.buffers, names);
-        self.binds = self
-            .level
-            .iter()
-            .map(|&stage| {
-                // Generation appends to the queue that the rest of the level reads.
-                let out = |this, other| if stage == Stage::Generate { this } else { other };
-                [
-                    bind(stage, &[("rays_in", "rays_a"), ("rays_out", out("rays_a", "rays_b"))]),
-                    bind(stage, &[("rays_in", "rays_b"), ("rays_out", out("rays_b", "rays_a"))]),
-                ]
-            })
-            .collect();
-        self.resolve = Some(bind(Stage::Resolve, &[]));
-        Ok(())
     }
 
     /// The queues that some kernel binds, at the capacity in the uniforms.
@@ -130,33 +90,10 @@ impl WavefrontEngine {
         Ok(())
     }
 
-    /// Runs levels until the batch is done; false if cancelled.
-    fn trace(&mut self, batch: &Batch, cancel: &CancelToken) -> Result<bool, RenderError> {
-        self.gpu.write_uniforms(&self.gpu.batch_uniforms(batch));
-        let mut counters = vec![0u32; counter_words(&self.gpu.key) as usize];
-        self.gpu.gpu.queue.write_buffer(self.gpu.buffers.get("counters"), 0, bytemuck::cast_slice(&counters));
-        let mut level = 0;
-        loop {
-            if cancel.is_cancelled() {
-                return Ok(false);
-            }
-            let remaining = self.expected_levels.saturating_sub(level).max(4);
-            let count = self.pacer.amount().min(remaining);
-            let (status, seconds) = self.submit_levels(level, count)?;
-            self.pacer.observe(count, seconds);
-            level += count;
-            counters = bytemuck::pod_collect_to_vec(&status);
-            self.check_overflow(&counters)?;
-            let counter = |c: Counter| counters[c as usize];
-            let flying = counter(Counter::Survivors) + counter(Counter::Shadows);
-            if flying == 0 && counter(Counter::NextPath) == batch.paths() {
-                break;
-            }
-        }
-        self.expected_levels = level;
-        self.gpu.stats.iterations += u64::from(level);
-        self.gpu.stats.rays += u64::from(counters[Counter::Rays as usize]);
-        Ok(true)
+    /// Levels after which any batch is done: the pool is filled again at the latest when all its paths are at their end.
+    fn most_levels(&self, batch: &Batch) -> u32 {
+        let fillings = batch.paths().div_ceil(self.gpu.uniforms.capacity) + 1;
+        fillings * (self.gpu.uniforms.max_bounces + 1) + 4
     }
 
     /// Submits `count` levels, the first of which is number `first`, and reads the counters behind them.
@@ -175,20 +112,9 @@ impl WavefrontEngine {
         if overflow == 0 {
             return Ok(());
         }
-        let key = &self.gpu.key;
-        let mut names: Vec<String> =
-            vec!["overflow", "survivors", "live", "fresh", "paths", "shadows", "", "rays"]
-                .into_iter()
-                .map(str::to_string)
-                .collect();
-        names.extend((0..4).filter(|&k| key.kinds[k]).map(|k| format!("{} hits", KIND_NAMES[k])));
-        names.push("environment".to_string());
-        let queues: Vec<&str> = names
-            .iter()
-            .enumerate()
-            .filter(|(i, _)| overflow >> i & 1 == 1)
-            .map(|(_, n)| n.as_str())
-            .collect();
+        let names = queue_names(&self.gpu.key);
+        let over = |i: &usize| overflow >> i & 1 == 1;
+        let queues: Vec<&str> = (0..names.len()).filter(over).map(|i| names[i].as_str()).collect();
         Err(GpuError::QueueOverflow { queues: queues.join(", ") }.into())
     }
 }
@@ -213,42 +139,72 @@ fn record_level(
     }
 }
 
-impl Engine for WavefrontEngine {
-    fn kind(&self) -> EngineKind {
-        EngineKind::Wavefront
+impl Tracer for WavefrontEngine {
+    const KIND: EngineKind = EngineKind::Wavefront;
+
+    fn gpu(&self) -> &GpuFilm {
+        &self.gpu
+    }
+    fn gpu_mut(&mut self) -> &mut GpuFilm {
+        &mut self.gpu
     }
 
-    fn device(&self) -> String {
-        self.gpu.stats.device.clone()
-    }
-
-    fn render(
-        &mut self,
-        range: Range<u32>,
-        film: &mut Film,
-        cancel: &CancelToken,
-    ) -> Result<(), RenderError> {
-        let start = Instant::now();
-        let pixels = self.gpu.uniforms.width * self.gpu.uniforms.height;
-        for batch in batches(pixels, range, self.gpu.max_paths) {
-            self.prepare(&batch)?;
-            if !self.trace(&batch, cancel)? {
-                break;
-            }
-            if let Some(resolve) = &self.resolve {
-                self.gpu.resolve(&batch, resolve, film)?;
-            }
+    fn prepare(&mut self, batch: &Batch) -> Result<(), RenderError> {
+        let capacity = self.capacity(batch);
+        let grown = self.gpu.reserve(batch)?;
+        if !grown && !self.binds.is_empty() && self.gpu.uniforms.capacity >= capacity {
+            return Ok(());
         }
-        self.gpu.stats.seconds += start.elapsed().as_secs_f64();
+        self.gpu.uniforms.capacity = capacity.max(self.gpu.uniforms.capacity);
+        self.create_queues()?;
+        let gpu = &self.gpu;
+        let bind =
+            |stage: Stage, names: &[(&str, &str)]| gpu.kernels[&stage].bind(&gpu.gpu, &gpu.buffers, names);
+        self.binds = self
+            .level
+            .iter()
+            .map(|&stage| {
+                // Generation appends to the queue that the rest of the level reads.
+                let out = |this, other| if stage == Stage::Generate { this } else { other };
+                [
+                    bind(stage, &[("rays_in", "rays_a"), ("rays_out", out("rays_a", "rays_b"))]),
+                    bind(stage, &[("rays_in", "rays_b"), ("rays_out", out("rays_b", "rays_a"))]),
+                ]
+            })
+            .collect();
         Ok(())
     }
 
-    fn step_samples(&self) -> u32 {
-        batch_samples(self.gpu.uniforms.width * self.gpu.uniforms.height, self.gpu.max_paths)
-    }
-
-    fn stats(&self) -> RenderStats {
-        self.gpu.stats.clone()
+    /// Levels until the batch is done.
+    fn trace(&mut self, batch: &Batch, cancel: &CancelToken) -> Result<bool, RenderError> {
+        self.gpu.write_uniforms(&self.gpu.batch_uniforms(batch));
+        let mut counters = vec![0u32; counter_words(&self.gpu.key) as usize];
+        self.gpu.gpu.queue.write_buffer(self.gpu.buffers.get("counters"), 0, bytemuck::cast_slice(&counters));
+        let mut level = 0;
+        loop {
+            if cancel.is_cancelled() {
+                return Ok(false);
+            }
+            let remaining = self.expected_levels.saturating_sub(level).max(4);
+            let count = self.pacer.amount().min(remaining);
+            let (status, seconds) = self.submit_levels(level, count)?;
+            self.pacer.observe(count, seconds);
+            level += count;
+            counters = bytemuck::pod_collect_to_vec(&status);
+            self.check_overflow(&counters)?;
+            let counter = |c: Counter| counters[c as usize];
+            let flying = counter(Counter::Survivors) + counter(Counter::Shadows);
+            if flying == 0 && counter(Counter::NextPath) == batch.paths() {
+                break;
+            }
+            if level > self.most_levels(batch) {
+                return Err(GpuError::NoProgress { levels: level, flying }.into());
+            }
+        }
+        self.expected_levels = level;
+        self.gpu.stats.iterations += u64::from(level);
+        self.gpu.stats.rays += u64::from(counters[Counter::Rays as usize]);
+        Ok(true)
     }
 }
 

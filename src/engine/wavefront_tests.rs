@@ -1,6 +1,7 @@
 //! A queue that runs over is an error that names it. No right kernel lets one run over, so wrong ones are linked here.
 
 use super::*;
+use crate::engine::Engine;
 use crate::film::Film;
 use crate::gpu::link::{MODULES, link_modules};
 use crate::gpu::stage::Schedule;

@@ -25,6 +25,10 @@ pub enum GpuError {
         "queue overflow in {queues}: rays would have been lost, so the batch was not used; this is a bug in qtracer"
     )]
     QueueOverflow { queues: String },
+    #[error(
+        "after {levels} levels {flying} rays are still in flight, which can't be: a bug in qtracer or the driver; try --engine megakernel or cpu"
+    )]
+    NoProgress { levels: u32, flying: u32 },
 }
 
 fn no_adapter(wanted: &Option<String>, found: &[String]) -> String {

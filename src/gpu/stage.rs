@@ -2,6 +2,7 @@
 //! (counters, queues, argument slots) that host and kernels share. docs/KERNELS.md tells the stages' contracts.
 
 use super::key::{KIND_NAMES, KernelKey};
+use crate::scene::compiled::KINDS;
 use std::fmt::Write;
 
 /// How the wavefront engine schedules a level of all paths in flight. All give the same image.
@@ -64,6 +65,17 @@ pub enum Argument {
     Intersect,
     Shadow,
     FirstHit,
+}
+
+/// What each word of the counter buffer counts, for people: an overflow bit is named by its number.
+pub fn queue_names(key: &KernelKey) -> Vec<String> {
+    let mut names: Vec<String> = COUNTER_NAMES[..Counter::FirstHit as usize]
+        .iter()
+        .map(|name| name.trim_start_matches("COUNTER_").to_lowercase().replace('_', " "))
+        .collect();
+    names.extend((0..KINDS).filter(|&k| key.kinds[k]).map(|k| format!("{} hits", KIND_NAMES[k])));
+    names.push("environment".to_string());
+    names
 }
 
 /// How many words the counter buffer has.
