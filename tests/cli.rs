@@ -232,7 +232,7 @@ fn bad_options_are_refused_by_name_with_what_would_do() {
         (&["--threads", "0"], &["--threads", "1..=1024"]),
         (&["--pool", "0"], &["--pool"]),
         (&["--exposure", "inf"], &["--exposure", "-64 to 64"]),
-        (&["--engine", "cpu", "--pool", "7"], &["--pool 7"]),
+        (&["--engine", "cpu", "--pool", "7"], &["7", "--pool", "256"]),
         (&["--no-such-option"], &["--no-such-option"]),
     ] {
         place.refuses(&[&["render", "ball.toml"], args].concat(), words);

@@ -126,8 +126,8 @@ impl<'a> Ending<'a> {
 
     /// Writes what there is and says what it is.
     fn conclude(mut self) -> Result<(), Failure> {
-        if self.renderer.film().samples().0 == 0 {
-            let problem = "no sample of every pixel was finished, so nothing was written";
+        if self.renderer.film().samples().1 == 0 {
+            let problem = "no sample was finished, so nothing was written";
             self.problems.push(problem.to_string());
             return Err(Failure::failed_all(self.problems));
         }

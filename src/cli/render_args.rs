@@ -109,7 +109,7 @@ struct EngineArgs {
     schedule: Option<ScheduleArg>,
 
     /// Rays that the wavefront engine keeps in flight [default: what suits the GPU]
-    #[arg(long, value_name = "N", value_parser = values::count, allow_negative_numbers = true)]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(256..=1 << 26), allow_negative_numbers = true)]
     pool: Option<u32>,
 
     /// Also write the linked WGSL of each of the scene's kernels into this folder; needs no GPU

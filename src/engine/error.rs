@@ -12,6 +12,6 @@ pub enum RenderError {
     Scene(#[from] crate::scene::SceneError),
     #[error("{option} {value}: {remedy}")]
     Option { option: &'static str, value: String, remedy: String },
-    #[error("sample {last} is beyond the last one, {max}; start at a lower --first-sample", max = u32::MAX)]
+    #[error("sample {last} is beyond the last one, {max}; start at a lower first sample", max = u32::MAX)]
     TooManySamples { last: u64 },
 }

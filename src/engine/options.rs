@@ -77,12 +77,12 @@ impl RenderOptions {
         if let Some(levels) = self.max_bounces
             && !(1..=64).contains(&levels)
         {
-            return refuse("--max-bounces", levels, "choose 1 to 64");
+            return refuse("max_bounces", levels, "choose 1 to 64");
         }
         if let Some(pool) = self.pool
             && !(256..=1 << 26).contains(&pool)
         {
-            return refuse("--pool", pool, "choose 256 to 67108864 rays");
+            return refuse("pool", pool, "choose 256 to 67108864 rays");
         }
         let (width, height) = self.size.unwrap_or((scene.camera.width, scene.camera.height));
         check_image_size(width.into(), height.into())?;
