@@ -38,7 +38,7 @@ pub struct ShadeOutcome {
 
 /// Where a shadow ray ends, as a share of the distance to the light: 1 − 2⁻²⁰, so that a surface in which a lamp lies
 /// flush does not shade it by rounding.
-pub const SHADOW_END: f32 = 1.0 - 9.536_743e-7;
+pub const SHADOW_END: f32 = 1.0 - 1.0 / 1_048_576.0;
 /// Bounces from which roulette is played: the fourth surface and later ones.
 pub const ROULETTE_FROM_BOUNCE: u32 = 3;
 

@@ -12,7 +12,7 @@ use qtracer::scene::Material as SceneMaterial;
 use qtracer::scene::compiled::{self, CompiledScene, Light, Material, Quad, Sphere, Uniforms};
 use qtracer::scene::shapes::{RELATIVE_OFFSET, T_MISS};
 use qtracer::transport::items::{HitItem, RayItem, ShadowItem};
-use qtracer::transport::path::ROULETTE_FROM_BOUNCE;
+use qtracer::transport::path::{ROULETTE_FROM_BOUNCE, SHADOW_END};
 use qtracer::{Sampler, Scene};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -196,6 +196,7 @@ fn constants_shared_with_the_kernels_are_equal() {
         ("NONE", f64::from(compiled::NONE)),
         ("ROULETTE_FROM_BOUNCE", f64::from(ROULETTE_FROM_BOUNCE)),
         ("RELATIVE_OFFSET", f64::from(RELATIVE_OFFSET)),
+        ("SHADOW_END", f64::from(SHADOW_END)),
         ("T_MISS", f64::from(T_MISS)),
         ("DIMENSION_CAMERA", f64::from(DIMENSION_CAMERA)),
     ]
