@@ -1,6 +1,6 @@
 //! Which GPU engine `auto` takes. By what was measured on an H100 (benches/results/, docs/PERFORMANCE.md), not by taste.
 
-use super::EngineKind;
+use super::{EngineKind, RenderOptions};
 use crate::gpu::key::KernelKey;
 use crate::scene::compiled::CompiledScene;
 
@@ -13,7 +13,17 @@ const SHORT_PATHS: u32 = 8;
 /// divergence: with few shapes, or short paths without direct light, the megakernel ran 1.4 to 5.9 times as fast
 /// (bansal-exp-*, furnace-*, glass-caustic), elsewhere the wavefront's fused schedule 1.2 to 1.9 times (bansal-room-1,
 /// cornell-box, glossy-box, many-lights, door-ajar).
-pub fn preferred_engine(scene: &CompiledScene, key: &KernelKey, max_bounces: u32) -> EngineKind {
+///
+/// Options that only the wavefront knows imply it.
+pub fn preferred_engine(
+    scene: &CompiledScene,
+    key: &KernelKey,
+    max_bounces: u32,
+    options: &RenderOptions,
+) -> EngineKind {
+    if options.schedule.is_some() || options.pool.is_some() {
+        return EngineKind::Wavefront;
+    }
     let shapes = scene.spheres.len() + scene.quads.len();
     let tests = shapes * if key.direct_light { 2 } else { 1 };
     let short = !key.direct_light && max_bounces <= SHORT_PATHS;

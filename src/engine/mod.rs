@@ -16,7 +16,7 @@ mod wavefront;
 pub use auto::preferred_engine;
 pub use batch::Batch;
 pub use error::RenderError;
-pub use options::{EngineChoice, EngineKind, RenderOptions};
+pub use options::{EngineChoice, EngineKind, Estimators, RenderOptions};
 pub use renderer::Renderer;
 pub use stats::RenderStats;
 

@@ -59,7 +59,26 @@ pub struct RenderOptions {
     pub pool: Option<u32>,
 }
 
+/// What is estimated and how: the caller's choices, and the scene's where the caller made none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Estimators {
+    pub direct_light: bool,
+    pub roulette: bool,
+    pub sampler: Sampler,
+    pub max_bounces: u32,
+}
+
 impl RenderOptions {
+    /// The estimators of a render of `scene` with these options.
+    pub fn estimators(&self, scene: &Scene) -> Estimators {
+        Estimators {
+            direct_light: self.direct_light.unwrap_or(scene.defaults.direct_light),
+            roulette: self.roulette.unwrap_or(scene.defaults.roulette),
+            sampler: self.sampler,
+            max_bounces: self.max_bounces.unwrap_or(scene.defaults.max_bounces),
+        }
+    }
+
     /// Defaults on the given engine.
     pub fn on(engine: EngineChoice) -> Self {
         RenderOptions { engine, ..Default::default() }

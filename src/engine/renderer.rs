@@ -5,7 +5,9 @@ use super::cpu::CpuEngine;
 use super::features::features;
 use super::megakernel::MegakernelEngine;
 use super::wavefront::WavefrontEngine;
-use super::{CancelToken, Engine, EngineChoice, EngineKind, RenderError, RenderOptions, RenderStats};
+use super::{
+    CancelToken, Engine, EngineChoice, EngineKind, Estimators, RenderError, RenderOptions, RenderStats,
+};
 use crate::film::{Film, Image};
 use crate::gpu::device::Gpu;
 use crate::gpu::key::KernelKey;
@@ -25,7 +27,7 @@ pub struct Renderer {
     notices: Vec<String>,
     /// Why no further step is possible.
     ended: Option<RenderError>,
-    estimators: [(&'static str, String); 3],
+    estimators: Estimators,
 }
 
 impl Renderer {
@@ -35,9 +37,10 @@ impl Renderer {
         let compiled = CompiledScene::new(scene);
         let (width, height) = options.size.unwrap_or((scene.camera.width, scene.camera.height));
         let mut uniforms = compiled.uniforms(&scene.camera, width, height, options.seed);
-        uniforms.max_bounces = options.max_bounces.unwrap_or(scene.defaults.max_bounces);
+        let estimators = options.estimators(scene);
+        uniforms.max_bounces = estimators.max_bounces;
         let mut notices = Vec::new();
-        let engine = build_engine(scene, &options, &compiled, uniforms, &mut notices)?;
+        let engine = build_engine(estimators, &options, &compiled, uniforms, &mut notices)?;
         Ok(Renderer {
             engine,
             film: Film::new(width, height),
@@ -49,18 +52,14 @@ impl Renderer {
             cancel: CancelToken::default(),
             notices,
             ended: None,
-            estimators: [
-                ("sampler", format!("{:?}", options.sampler).to_lowercase()),
-                ("direct_light", options.direct_light.unwrap_or(scene.defaults.direct_light).to_string()),
-                ("roulette", options.roulette.unwrap_or(scene.defaults.roulette).to_string()),
-            ],
+            estimators,
         })
     }
 
     /// Renders up to `samples` further samples of each pixel, fewer if that would take long; returns how many it did.
     ///
     /// # Errors
-    /// [`RenderError::Cancelled`] once the token was used, whatever failed otherwise; every later call returns the same.
+    /// [`RenderError::Cancelled`] once the token was used, else whatever failed; every later call returns the same.
     /// The image of what was done before is still there.
     pub fn step(&mut self, samples: u32) -> Result<u32, RenderError> {
         if let Some(error) = &self.ended {
@@ -104,8 +103,10 @@ impl Renderer {
         metadata.set("seed", self.uniforms.seed);
         metadata.set("first_sample", self.first_sample);
         metadata.set("samples", self.film.samples().1);
-        metadata.set("max_bounces", self.uniforms.max_bounces);
-        self.estimators.iter().for_each(|(key, value)| metadata.set(key, value));
+        metadata.set("max_bounces", self.estimators.max_bounces);
+        metadata.set("sampler", format!("{:?}", self.estimators.sampler).to_lowercase());
+        metadata.set("direct_light", self.estimators.direct_light);
+        metadata.set("roulette", self.estimators.roulette);
         metadata.set("fingerprint", format!("{:016x}", self.compiled.fingerprint(&self.uniforms)));
         metadata.set("engine", self.engine.kind());
         metadata.set("device", self.engine.device());
@@ -144,19 +145,18 @@ impl Renderer {
 }
 
 fn build_engine(
-    scene: &Scene,
+    estimators: Estimators,
     options: &RenderOptions,
     compiled: &CompiledScene,
     uniforms: Uniforms,
     notices: &mut Vec<String>,
 ) -> Result<Box<dyn Engine>, RenderError> {
-    let direct_light = options.direct_light.unwrap_or(scene.defaults.direct_light);
-    let roulette = options.roulette.unwrap_or(scene.defaults.roulette);
+    let Estimators { direct_light, roulette, sampler, max_bounces } = estimators;
     let cpu = || {
-        let engine = CpuEngine::new(compiled.clone(), uniforms, options.sampler, direct_light, roulette);
+        let engine = CpuEngine::new(compiled.clone(), uniforms, sampler, direct_light, roulette);
         Ok(Box::new(engine) as Box<dyn Engine>)
     };
-    let key = KernelKey::new(compiled, direct_light, roulette, options.sampler);
+    let key = KernelKey::new(compiled, direct_light, roulette, sampler);
     let on_gpu = |gpu: Gpu, kind: EngineKind| -> Result<Box<dyn Engine>, RenderError> {
         Ok(match kind {
             EngineKind::Megakernel => Box::new(MegakernelEngine::new(gpu, compiled, uniforms, key)?),
@@ -170,9 +170,7 @@ fn build_engine(
         EngineChoice::Wavefront => on_gpu(Gpu::open(adapter)?, EngineKind::Wavefront),
         EngineChoice::Auto => match Gpu::open(adapter) {
             Ok(gpu) if !gpu.summary.software || adapter.is_some() => {
-                let wavefront_only = options.schedule.is_some() || options.pool.is_some();
-                let kind = preferred_engine(compiled, &key, uniforms.max_bounces);
-                on_gpu(gpu, if wavefront_only { EngineKind::Wavefront } else { kind })
+                on_gpu(gpu, preferred_engine(compiled, &key, max_bounces, options))
             }
             Ok(gpu) => {
                 let name = &gpu.summary.name;

@@ -157,9 +157,7 @@ impl Tracer for WavefrontEngine {
         }
         self.gpu.uniforms.capacity = capacity.max(self.gpu.uniforms.capacity);
         self.create_queues()?;
-        let gpu = &self.gpu;
-        let bind =
-            |stage: Stage, names: &[(&str, &str)]| gpu.kernels[&stage].bind(&gpu.gpu, &gpu.buffers, names);
+        let bind = |stage: Stage, names: &[(&str, &str)]| self.gpu.bind(stage, names);
         self.binds = self
             .level
             .iter()

@@ -203,7 +203,10 @@ mod tests {
         let mut rng = Rng::new(seed);
         (0..count)
             .map(|_| {
-                (rng.below(12) as usize, Vec3::new(rng.uniform(), 4.0 * rng.uniform(), rng.uniform() - 0.2))
+                (
+                    rng.below(12) as usize,
+                    Vec3::new(rng.uniform_f32(), 4.0 * rng.uniform_f32(), rng.uniform_f32() - 0.2),
+                )
             })
             .collect()
     }

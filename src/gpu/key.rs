@@ -28,7 +28,8 @@ pub struct KernelKey {
 }
 
 /// Bytes of shapes up to which uniform buffers are faster: on an H100 the megakernel took 13 % and 25 % less time with
-/// 0.4 and 1.5 KiB (seed1, cornell), but 82 % more with 6 KiB (door), since every ray reads all of them through a cache of about 2 KiB.
+/// 0.4 and 1.5 KiB (seed1, cornell), but 82 % more with 6 KiB (door), since every ray reads all of them through a cache
+/// of about 2 KiB.
 const SMALL_SHAPES: usize = 1 << 11;
 /// Bytes of the other arrays, which are read at hits only.
 const SMALL_ARRAY: usize = 1 << 14;

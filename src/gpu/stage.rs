@@ -120,7 +120,7 @@ impl Stage {
         if key.environment {
             stages.push(Stage::Environment);
         }
-        stages.extend((0..4).filter(|&kind| key.kinds[kind as usize]).map(Stage::Shade));
+        stages.extend((0..KINDS as u32).filter(|&kind| key.kinds[kind as usize]).map(Stage::Shade));
         if schedule == Schedule::Compacted {
             stages.push(Stage::Compact);
         }

@@ -11,7 +11,7 @@ mod gamma;
 mod metrics;
 mod normal;
 #[cfg(test)]
-mod test_images;
+pub(crate) mod test_images;
 mod view;
 mod z_report;
 mod z_test;

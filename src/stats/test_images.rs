@@ -1,4 +1,4 @@
-//! Synthetic images with known errors, for the tests of this folder.
+//! Random numbers for unit tests, and synthetic images with known errors for those of this folder.
 
 use super::ImageView;
 
@@ -21,6 +21,15 @@ impl Rng {
     /// In [0, 1).
     pub fn uniform(&mut self) -> f64 {
         (self.next() >> 11) as f64 * (0.5f64).powi(53)
+    }
+
+    /// In [0, 1), a multiple of 2⁻²⁴.
+    pub fn uniform_f32(&mut self) -> f32 {
+        (self.next() >> 40) as f32 / (1u64 << 24) as f32
+    }
+
+    pub fn below(&mut self, end: u64) -> u64 {
+        self.next() % end
     }
 
     /// Standard normal (Box & Muller).
