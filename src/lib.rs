@@ -27,6 +27,7 @@ pub mod bsdf;
 pub mod engine;
 pub mod film;
 pub mod gpu;
+pub mod guiding;
 pub mod layout;
 pub mod math;
 pub mod random;

@@ -30,6 +30,11 @@ pub fn one_minus_cos(a: Vec3, b: Vec3) -> f32 {
     0.5 * d.dot(d)
 }
 
+/// Luminance of linear sRGB (Rec. 709 primaries).
+pub fn luminance(rgb: Vec3) -> f32 {
+    rgb.dot(Vec3::new(0.2126, 0.7152, 0.0722))
+}
+
 /// Weight of the strategy with density `pdf` against one with density `other` (power heuristic, Veach 1997).
 /// As a ratio, so that neither square can overflow. `pdf` must be positive.
 pub fn mis_weight(pdf: f32, other: f32) -> f32 {

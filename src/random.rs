@@ -25,6 +25,12 @@ pub fn dimension_light(bounce: u32) -> u32 {
     2 + 2 * bounce
 }
 
+/// Numbers for guided directions: choice of the strategy, two for the direction, choice of the octant; further draws where
+/// one is not taken. Beyond the dimensions of 64 levels.
+pub fn dimension_guide(bounce: u32, draw: u32) -> u32 {
+    1024 + 16 * bounce + draw
+}
+
 /// Identifies one path: everything its random numbers depend on.
 #[derive(Clone, Copy, Debug)]
 pub struct SampleKey {

@@ -41,6 +41,15 @@ pub fn bsdf_sample(material: &Material, normal: Vec3, wo: Vec3, outside: bool, u
     }
 }
 
+/// How much of the material is a Lambertian lobe: the only part that learns and is guided.
+pub fn lambert_share(material: &Material) -> f32 {
+    match material.kind {
+        KIND_DIFFUSE => 1.0,
+        KIND_MIRROR => 1.0 - material.parameter,
+        _ => 0.0,
+    }
+}
+
 /// Evaluates `wi`. Delta lobes contribute nothing here: no direction chosen elsewhere meets them.
 pub fn bsdf_evaluate(material: &Material, normal: Vec3, wo: Vec3, wi: Vec3) -> BsdfValue {
     match material.kind {

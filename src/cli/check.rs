@@ -6,7 +6,7 @@ use clap::Args;
 use qtracer::gpu::key::{KIND_NAMES, KernelKey};
 use qtracer::scene::compiled::CompiledScene;
 use qtracer::scene::{Geometry, MaterialKind};
-use qtracer::{Sampler, Scene};
+use qtracer::{RenderOptions, Scene};
 use std::path::{Path, PathBuf};
 
 #[derive(Args)]
@@ -49,7 +49,7 @@ pub fn run(args: &CheckArgs) -> Result<(), Failure> {
 fn describe(path: &Path, scene: &Scene) -> String {
     let compiled = CompiledScene::new(scene);
     let defaults = &scene.defaults;
-    let key = KernelKey::new(&compiled, defaults.direct_light, defaults.roulette, Sampler::default());
+    let key = KernelKey::new(&compiled, &RenderOptions::default().estimators(scene));
     let on_off = |on| if on { "on" } else { "off" };
     let is_sphere = |geometry: &Geometry| matches!(geometry, Geometry::Sphere { .. });
     let shapes = scene.shapes.len();

@@ -1,7 +1,7 @@
 //! `--dump-kernels`: the linked WGSL of a scene's kernels as files, to be read. No GPU takes part.
 
 use super::failure::Failure;
-use qtracer::engine::{Estimators, preferred_engine};
+use qtracer::engine::preferred_engine;
 use qtracer::gpu::key::KernelKey;
 use qtracer::gpu::link::link;
 use qtracer::gpu::stage::Stage;
@@ -13,11 +13,11 @@ use std::path::Path;
 /// Writes one file per stage of the engine asked for (the wavefront engine's where that has none); says what it wrote.
 pub fn dump(folder: &Path, scene: &Scene, options: &RenderOptions) -> Result<String, Failure> {
     let compiled = CompiledScene::new(scene);
-    let Estimators { direct_light, roulette, sampler, max_bounces } = options.estimators(scene);
-    let key = KernelKey::new(&compiled, direct_light, roulette, sampler);
+    let key = KernelKey::new(&compiled, &options.estimators(scene));
     let schedule = options.schedule.unwrap_or_default();
     let megakernel = options.engine == EngineChoice::Auto
-        && preferred_engine(&compiled, &key, max_bounces, options) == EngineKind::Megakernel;
+        && preferred_engine(&compiled, &key, options.estimators(scene).max_bounces, options)
+            == EngineKind::Megakernel;
     let (stages, of) = match options.engine {
         EngineChoice::Megakernel => (Stage::megakernel(), "the megakernel engine"),
         EngineChoice::Auto if megakernel => (Stage::megakernel(), "the megakernel engine"),

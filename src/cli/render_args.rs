@@ -7,6 +7,8 @@ use super::values::{self, Switch};
 use clap::{Args, ValueEnum};
 use qtracer::film::check_writable;
 use qtracer::gpu::stage::Schedule;
+use qtracer::guiding::{GuideMode, GuideOptions};
+use qtracer::transport::roulette::Roulette;
 use qtracer::{EngineChoice, RenderOptions, Sampler, Scene};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -81,9 +83,18 @@ struct TransportArgs {
     #[arg(long, value_enum, value_name = "on|off", hide_possible_values = true)]
     direct_light: Option<Switch>,
 
-    /// End faint paths early, without bias [default: the scene's]
-    #[arg(long, value_enum, value_name = "on|off", hide_possible_values = true)]
-    roulette: Option<Switch>,
+    /// End faint paths early, without bias: by their throughput, or by what their surroundings have learnt
+    /// [default: the scene's]
+    #[arg(long, value_enum, value_name = "off|throughput|learnt", hide_possible_values = true)]
+    roulette: Option<RouletteArg>,
+
+    /// Let this many times as many paths survive roulette: slower, less noisy [default: 1]
+    #[arg(long, value_name = "X", value_parser = values::positive, allow_negative_numbers = true)]
+    roulette_scale: Option<f64>,
+
+    /// Learn where light comes from, and send paths there
+    #[arg(long, value_enum, default_value_t = GuideArg::Off)]
+    guide: GuideArg,
 
     /// How the samples of a pixel relate: spread evenly, or independent, whose standard errors are exact
     #[arg(long, value_enum, default_value_t = SamplerArg::Stratified)]
@@ -159,6 +170,24 @@ pub enum StatsFormat {
 enum SamplerArg {
     Stratified,
     Independent,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum RouletteArg {
+    #[value(alias = "false")]
+    Off,
+    #[value(aliases = ["on", "true"])]
+    Throughput,
+    Learnt,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum GuideArg {
+    Off,
+    Bansal,
+    BansalReweighted,
+    Octant,
+    Adaptive,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -259,7 +288,22 @@ fn render_options(size: Option<(u32, u32)>, transport: &TransportArgs, engine: &
         first_sample: transport.first_sample,
         max_bounces: transport.max_bounces,
         direct_light: transport.direct_light.map(bool::from),
-        roulette: transport.roulette.map(bool::from),
+        roulette: transport.roulette.map(|roulette| match roulette {
+            RouletteArg::Off => Roulette::Off,
+            RouletteArg::Throughput => Roulette::Throughput,
+            RouletteArg::Learnt => Roulette::Learnt,
+        }),
+        roulette_scale: transport.roulette_scale.map(|scale| scale as f32),
+        guide: GuideOptions {
+            mode: match transport.guide {
+                GuideArg::Off => GuideMode::Off,
+                GuideArg::Bansal => GuideMode::Bansal,
+                GuideArg::BansalReweighted => GuideMode::BansalReweighted,
+                GuideArg::Octant => GuideMode::Octant,
+                GuideArg::Adaptive => GuideMode::Adaptive,
+            },
+            ..Default::default()
+        },
         sampler: match transport.sampler {
             SamplerArg::Stratified => Sampler::Stratified,
             SamplerArg::Independent => Sampler::Independent,

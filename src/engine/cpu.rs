@@ -1,10 +1,11 @@
 //! The CPU engine: the transport functions over rayon. Also what renders where there is no GPU.
 
-use super::{CancelToken, Engine, EngineKind, RenderError, RenderStats};
+use super::{CancelToken, Engine, EngineKind, Estimators, RenderError, RenderStats};
 use crate::accel::ShapeLanes;
 use crate::film::Film;
-use crate::random::Sampler;
+use crate::guiding::{GuideTable, LessonLayout, LessonSums, Lessons};
 use crate::scene::compiled::{CompiledScene, Uniforms};
+use crate::transport::guide::Guidance;
 use crate::transport::path::Transport;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -14,9 +15,8 @@ pub struct CpuEngine {
     scene: CompiledScene,
     lanes: ShapeLanes,
     uniforms: Uniforms,
-    sampler: Sampler,
-    direct_light: bool,
-    roulette: bool,
+    estimators: Estimators,
+    guide: Option<(GuideTable, LessonSums)>,
     stats: RenderStats,
 }
 
@@ -24,21 +24,14 @@ pub struct CpuEngine {
 const STEP_SECONDS: f64 = 0.25;
 
 impl CpuEngine {
-    pub fn new(
-        scene: CompiledScene,
-        uniforms: Uniforms,
-        sampler: Sampler,
-        direct_light: bool,
-        roulette: bool,
-    ) -> Self {
-        let direct_light = direct_light && !scene.lights.is_empty();
+    pub fn new(scene: CompiledScene, uniforms: Uniforms, estimators: Estimators) -> Self {
         let stats = RenderStats {
             engine: EngineKind::Cpu.to_string(),
             device: format!("{} threads", rayon::current_num_threads()),
             ..Default::default()
         };
         let lanes = ShapeLanes::new(&scene);
-        CpuEngine { scene, lanes, uniforms, sampler, direct_light, roulette, stats }
+        CpuEngine { scene, lanes, uniforms, estimators, guide: None, stats }
     }
 
     /// One pass: the samples `range` of every pixel, rows in parallel.
@@ -54,9 +47,14 @@ impl CpuEngine {
             scene: &self.scene,
             lanes: &self.lanes,
             uniforms: &uniforms,
-            sampler: self.sampler,
-            direct_light: self.direct_light,
-            roulette: self.roulette,
+            sampler: self.estimators.sampler,
+            direct_light: self.estimators.direct_light && !self.scene.lights.is_empty(),
+            roulette: self.estimators.roulette,
+            guidance: self.guide.as_ref().map(|(table, sums)| Guidance {
+                mode: self.estimators.table_mode(),
+                table,
+                sums,
+            }),
         };
         film.pixels_mut().par_chunks_mut(width).enumerate().for_each(|(row, pixels)| {
             if cancel.is_cancelled() {
@@ -100,6 +98,16 @@ impl Engine for CpuEngine {
         }
         self.stats.seconds += start.elapsed().as_secs_f64();
         Ok(())
+    }
+
+    fn set_guide(&mut self, table: GuideTable) -> Result<(), RenderError> {
+        let sums = LessonSums::new(LessonLayout::new(&table.uniforms));
+        self.guide = Some((table, sums));
+        Ok(())
+    }
+
+    fn take_lessons(&mut self) -> Result<Lessons, RenderError> {
+        Ok(self.guide.as_mut().map(|(_, sums)| sums.take()).unwrap_or_default())
     }
 
     fn step_samples(&self) -> u32 {

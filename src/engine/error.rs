@@ -5,6 +5,8 @@ use crate::gpu::error::GpuError;
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum RenderError {
     #[error(transparent)]
+    Guide(#[from] crate::guiding::LearnerError),
+    #[error(transparent)]
     Gpu(#[from] GpuError),
     #[error("the render was cancelled; what was finished before is kept")]
     Cancelled,

@@ -6,6 +6,7 @@ mod cpu;
 mod error;
 mod features;
 mod gpu_film;
+mod guided;
 mod megakernel;
 mod options;
 mod renderer;
@@ -13,14 +14,16 @@ mod stats;
 mod tracer;
 mod wavefront;
 
+pub use crate::transport::estimators::Estimators;
 pub use auto::preferred_engine;
 pub use batch::Batch;
 pub use error::RenderError;
-pub use options::{EngineChoice, EngineKind, Estimators, RenderOptions};
+pub use options::{EngineChoice, EngineKind, RenderOptions};
 pub use renderer::Renderer;
 pub use stats::RenderStats;
 
 use crate::film::Film;
+use crate::guiding::{GuideTable, Lessons};
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -49,6 +52,12 @@ pub trait Engine: Send {
     /// the film's counts say how much that is.
     fn render(&mut self, range: Range<u32>, film: &mut Film, cancel: &CancelToken)
     -> Result<(), RenderError>;
+
+    /// Puts a table in place: from now on it guides paths, and what they teach is added up from zero.
+    fn set_guide(&mut self, table: GuideTable) -> Result<(), RenderError>;
+
+    /// What paths taught since the table was put in place.
+    fn take_lessons(&mut self) -> Result<Lessons, RenderError>;
 
     /// Samples per pixel to ask for at once, so that a step is neither long nor wasteful.
     fn step_samples(&self) -> u32;

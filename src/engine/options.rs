@@ -2,8 +2,11 @@
 
 use super::RenderError;
 use crate::gpu::stage::Schedule;
+use crate::guiding::GuideOptions;
 use crate::random::Sampler;
 use crate::scene::{Scene, check_image_size};
+use crate::transport::estimators::Estimators;
+use crate::transport::roulette::Roulette;
 use std::fmt;
 
 /// The engines, as they can be asked for.
@@ -46,8 +49,12 @@ pub struct RenderOptions {
     pub adapter: Option<String>,
     /// Next-event estimation combined with BSDF sampling.
     pub direct_light: Option<bool>,
-    /// Russian roulette from the fourth surface on.
-    pub roulette: Option<bool>,
+    /// Russian roulette: off, by throughput from the fourth surface on, or by what was learnt.
+    pub roulette: Option<Roulette>,
+    /// Survival in roulette is this times what it would be, up to certainty: larger is slower and less noisy. 1 by default.
+    pub roulette_scale: Option<f32>,
+    /// Whether and how paths are guided by what earlier ones found.
+    pub guide: GuideOptions,
     /// Levels of a path, 1 to 64: 1 shows only what emits, 2 adds direct light.
     pub max_bounces: Option<u32>,
     pub sampler: Sampler,
@@ -59,21 +66,17 @@ pub struct RenderOptions {
     pub pool: Option<u32>,
 }
 
-/// What is estimated and how: the caller's choices, and the scene's where the caller made none.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Estimators {
-    pub direct_light: bool,
-    pub roulette: bool,
-    pub sampler: Sampler,
-    pub max_bounces: u32,
-}
-
 impl RenderOptions {
     /// The estimators of a render of `scene` with these options.
     pub fn estimators(&self, scene: &Scene) -> Estimators {
         Estimators {
             direct_light: self.direct_light.unwrap_or(scene.defaults.direct_light),
-            roulette: self.roulette.unwrap_or(scene.defaults.roulette),
+            roulette: self.roulette.unwrap_or(match scene.defaults.roulette {
+                true => Roulette::Throughput,
+                false => Roulette::Off,
+            }),
+            roulette_scale: self.roulette_scale.unwrap_or(1.0),
+            guide: self.guide.mode,
             sampler: self.sampler,
             max_bounces: self.max_bounces.unwrap_or(scene.defaults.max_bounces),
         }

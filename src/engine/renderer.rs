@@ -3,6 +3,7 @@
 use super::auto::preferred_engine;
 use super::cpu::CpuEngine;
 use super::features::features;
+use super::guided::Guided;
 use super::megakernel::MegakernelEngine;
 use super::wavefront::WavefrontEngine;
 use super::{
@@ -28,6 +29,7 @@ pub struct Renderer {
     /// Why no further step is possible.
     ended: Option<RenderError>,
     estimators: Estimators,
+    guided: Option<Guided>,
 }
 
 impl Renderer {
@@ -40,7 +42,9 @@ impl Renderer {
         let estimators = options.estimators(scene);
         uniforms.max_bounces = estimators.max_bounces;
         let mut notices = Vec::new();
-        let engine = build_engine(estimators, &options, &compiled, uniforms, &mut notices)?;
+        uniforms.roulette_scale = estimators.roulette_scale;
+        let mut engine = build_engine(estimators, &options, &compiled, uniforms, &mut notices)?;
+        let guided = Guided::start(&options, estimators, &compiled, &uniforms, engine.as_mut())?;
         Ok(Renderer {
             engine,
             film: Film::new(width, height),
@@ -53,6 +57,7 @@ impl Renderer {
             notices,
             ended: None,
             estimators,
+            guided,
         })
     }
 
@@ -73,6 +78,7 @@ impl Renderer {
         let wanted = self.engine.step_samples().max(1);
         // Steps end at multiples of what the engine likes, so that their blocks of samples do not depend on the steps.
         let step_end = end.min((first / wanted).saturating_add(1).saturating_mul(wanted));
+        let step_end = step_end.min(self.guided.as_ref().map_or(u32::MAX, Guided::end));
         let rendered = self.engine.render(first..step_end, &mut self.film, &self.cancel);
         let cancelled = || if self.cancel.is_cancelled() { Err(RenderError::Cancelled) } else { Ok(()) };
         if let Err(error) = rendered.and_then(|()| cancelled()) {
@@ -82,6 +88,9 @@ impl Renderer {
             return Err(error);
         }
         self.samples += step_end - first;
+        if let Some(guided) = &mut self.guided {
+            guided.conclude_pass(self.samples, &self.film, self.engine.as_mut())?;
+        }
         Ok(step_end - first)
     }
 
@@ -98,6 +107,9 @@ impl Renderer {
     /// The image so far with its standard errors; metadata says scene, seed, samples, engine and version.
     pub fn image(&self) -> Image {
         let mut image = self.film.image();
+        if let Some(guided) = &self.guided {
+            image = guided.combine(&self.film, image);
+        }
         let metadata = &mut image.metadata;
         metadata.set("scene", &self.scene_name);
         metadata.set("seed", self.uniforms.seed);
@@ -107,6 +119,7 @@ impl Renderer {
         metadata.set("sampler", format!("{:?}", self.estimators.sampler).to_lowercase());
         metadata.set("direct_light", self.estimators.direct_light);
         metadata.set("roulette", self.estimators.roulette);
+        metadata.set("guide", self.estimators.guide);
         metadata.set("fingerprint", format!("{:016x}", self.compiled.fingerprint(&self.uniforms)));
         metadata.set("engine", self.engine.kind());
         metadata.set("device", self.engine.device());
@@ -151,12 +164,11 @@ fn build_engine(
     uniforms: Uniforms,
     notices: &mut Vec<String>,
 ) -> Result<Box<dyn Engine>, RenderError> {
-    let Estimators { direct_light, roulette, sampler, max_bounces } = estimators;
     let cpu = || {
-        let engine = CpuEngine::new(compiled.clone(), uniforms, sampler, direct_light, roulette);
+        let engine = CpuEngine::new(compiled.clone(), uniforms, estimators);
         Ok(Box::new(engine) as Box<dyn Engine>)
     };
-    let key = KernelKey::new(compiled, direct_light, roulette, sampler);
+    let key = KernelKey::new(compiled, &estimators);
     let on_gpu = |gpu: Gpu, kind: EngineKind| -> Result<Box<dyn Engine>, RenderError> {
         Ok(match kind {
             EngineKind::Megakernel => Box::new(MegakernelEngine::new(gpu, compiled, uniforms, key)?),
@@ -170,7 +182,7 @@ fn build_engine(
         EngineChoice::Wavefront => on_gpu(Gpu::open(adapter)?, EngineKind::Wavefront),
         EngineChoice::Auto => match Gpu::open(adapter) {
             Ok(gpu) if !gpu.summary.software || adapter.is_some() => {
-                on_gpu(gpu, preferred_engine(compiled, &key, max_bounces, options))
+                on_gpu(gpu, preferred_engine(compiled, &key, estimators.max_bounces, options))
             }
             Ok(gpu) => {
                 let name = &gpu.summary.name;

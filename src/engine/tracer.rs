@@ -4,6 +4,7 @@ use super::batch::{batch_samples, batches};
 use super::gpu_film::GpuFilm;
 use super::{Batch, CancelToken, Engine, EngineKind, RenderError, RenderStats};
 use crate::film::Film;
+use crate::guiding::{GuideTable, Lessons};
 use std::ops::Range;
 use std::time::Instant;
 
@@ -46,6 +47,15 @@ impl<T: Tracer> Engine for T {
         }
         self.gpu_mut().stats.seconds += start.elapsed().as_secs_f64();
         Ok(())
+    }
+
+    fn set_guide(&mut self, table: GuideTable) -> Result<(), RenderError> {
+        let _ = table;
+        todo!()
+    }
+
+    fn take_lessons(&mut self) -> Result<Lessons, RenderError> {
+        todo!()
     }
 
     fn step_samples(&self) -> u32 {

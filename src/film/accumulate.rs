@@ -139,6 +139,21 @@ impl Film {
         }
     }
 
+    /// What was added since `earlier`, a copy of this film.
+    pub fn since(&self, earlier: &Film) -> Film {
+        let mut film = self.clone();
+        film.pixels.par_iter_mut().with_min_len(PARALLEL_PIXELS / 4).zip(&earlier.pixels).for_each(
+            |(a, b)| {
+                for channel in 0..3 {
+                    a.sum[channel] -= b.sum[channel];
+                    a.sum_sq[channel] -= b.sum_sq[channel];
+                }
+                a.count -= b.count;
+            },
+        );
+        film
+    }
+
     /// Adds another film of the same size.
     pub fn merge(&mut self, other: &Film) -> Result<(), FilmError> {
         if (self.width, self.height) != (other.width, other.height) {

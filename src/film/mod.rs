@@ -1,6 +1,7 @@
 //! What a render leaves behind: sums per pixel ([`Film`]), the finished [`Image`] with its errors, and image files.
 
 mod accumulate;
+mod combined;
 mod error;
 mod exr_file;
 mod image;
@@ -13,6 +14,7 @@ mod test_files;
 mod write;
 
 pub use accumulate::{BlockSum, Film, FilmError, PixelSum, luminance};
+pub use combined::CombinedFilm;
 pub use error::ImageError;
 pub use image::{Features, Image};
 pub use metadata::Metadata;

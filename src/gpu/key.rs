@@ -1,8 +1,11 @@
 //! What a scene needs of the kernels. Model only what a scene needs: which functions, bindings, queues and fields exist
 //! is decided by this key alone, which depends on the scene and the options and on nothing else.
 
+use crate::guiding::GuideMode;
 use crate::random::Sampler;
 use crate::scene::compiled::{CompiledScene, KIND_DIELECTRIC, KIND_DIFFUSE, KIND_GLOSSY, KIND_MIRROR, KINDS};
+use crate::transport::estimators::Estimators;
+use crate::transport::roulette::Roulette;
 use std::fmt;
 
 /// Names of the material kinds, by number.
@@ -21,7 +24,11 @@ pub struct KernelKey {
     pub direct_light: bool,
     pub sphere_lights: bool,
     pub quad_lights: bool,
-    pub roulette: bool,
+    pub roulette: Roulette,
+    /// The kind of table that is learnt, None if nothing is.
+    pub guide: Option<GuideMode>,
+    /// Whether it guides directions, not roulette alone.
+    pub guided: bool,
     pub stratified: bool,
     /// Lengths of the scene's arrays (spheres, quads, materials, lights) if the scene is small enough for uniform buffers.
     pub small_scene: Option<[u32; 4]>,
@@ -45,10 +52,10 @@ fn small_scene(scene: &CompiledScene) -> Option<[u32; 4]> {
 }
 
 impl KernelKey {
-    pub fn new(scene: &CompiledScene, direct_light: bool, roulette: bool, sampler: Sampler) -> Self {
+    pub fn new(scene: &CompiledScene, estimators: &Estimators) -> Self {
         let kinds = scene.kinds();
         let is_quad = |shape: u32| scene.quad_index(shape).is_some();
-        let direct_light = direct_light && !scene.lights.is_empty() && non_delta(&kinds);
+        let direct_light = estimators.direct_light && !scene.lights.is_empty() && non_delta(&kinds);
         KernelKey {
             spheres: !scene.spheres.is_empty(),
             quads: !scene.quads.is_empty(),
@@ -57,8 +64,10 @@ impl KernelKey {
             direct_light,
             sphere_lights: direct_light && scene.lights.iter().any(|l| !is_quad(l.shape)),
             quad_lights: direct_light && scene.lights.iter().any(|l| is_quad(l.shape)),
-            roulette,
-            stratified: sampler == Sampler::Stratified,
+            roulette: estimators.roulette,
+            guide: estimators.learns().then(|| estimators.table_mode()),
+            guided: estimators.guide != GuideMode::Off,
+            stratified: estimators.sampler == Sampler::Stratified,
             small_scene: small_scene(scene),
         }
     }
@@ -84,7 +93,14 @@ impl KernelKey {
             ("direct_light", self.direct_light),
             ("sphere_lights", self.sphere_lights),
             ("quad_lights", self.quad_lights),
-            ("roulette", self.roulette),
+            ("roulette", self.roulette != Roulette::Off),
+            ("learnt_roulette", self.roulette == Roulette::Learnt),
+            ("learns", self.guide.is_some()),
+            ("guided", self.guided),
+            ("adaptive", self.guide == Some(GuideMode::Adaptive)),
+            ("octant", self.guide == Some(GuideMode::Octant)),
+            ("bansal", self.guide.is_some_and(GuideMode::is_bansal)),
+            ("reweighted", self.guide == Some(GuideMode::BansalReweighted)),
             ("stratified", self.stratified),
             ("small_scene", self.small_scene.is_some()),
         ]

@@ -45,7 +45,8 @@ gpu_struct! {
         sphere_count: u32,
         quad_count: u32,
         light_count: u32,
-        _pad0: u32,
+        /// Survival in roulette is this times what it would be.
+        roulette_scale: f32,
         _pad1: u32,
         _pad2: u32,
     }

@@ -1,14 +1,18 @@
 //! What happens to a path at each event. Pure functions: engines move the data, these do the transport.
 //! GPU twin: kernels/transport/path.wesl
 
+use super::guide::{Guidance, GuidePoint};
 use super::items::{RayItem, ShadowItem};
 use super::light::{choose_light, pdf_light, sample_light};
+use super::roulette::Roulette;
 use crate::accel::ShapeLanes;
-use crate::bsdf::{bsdf_evaluate, bsdf_sample};
-use crate::math::mis_weight;
+use crate::bsdf::{BsdfSample, bsdf_evaluate, bsdf_sample};
+use crate::guiding::{Trail, Transition};
+use crate::math::{luminance, mis_weight};
 use crate::random::{DIMENSION_CAMERA, SampleKey, Sampler, dimension_bsdf, dimension_light, sample4};
+use crate::sampling::pdf_cosine;
 use crate::scene::camera::camera_ray;
-use crate::scene::compiled::{CompiledScene, KIND_DIELECTRIC, Material, Uniforms};
+use crate::scene::compiled::{CompiledScene, KIND_DIELECTRIC, KIND_MIRROR, Material, Uniforms};
 use crate::scene::shapes::{Hit, Ray, Surface, shape_info, spawn_ray, surface_at};
 use glam::{Vec3, Vec4Swizzles};
 
@@ -22,7 +26,9 @@ pub struct Transport<'a> {
     pub sampler: Sampler,
     /// Next-event estimation, combined with BSDF sampling; needs a light.
     pub direct_light: bool,
-    pub roulette: bool,
+    pub roulette: Roulette,
+    /// What was learnt; None with guiding and learnt roulette off.
+    pub guidance: Option<Guidance<'a>>,
 }
 
 /// What shading decides at one hit.
@@ -34,13 +40,32 @@ pub struct ShadeOutcome {
     pub shadow: Option<ShadowItem>,
     /// The path goes on with this ray.
     pub ray: Option<RayItem>,
+    /// What it remembers of this surface.
+    pub trail: Trail,
+    /// What is learnt here, but for the shadow ray.
+    pub transition: Transition,
+    /// What the transition's slot learns besides if nothing is in the shadow ray's way.
+    pub shadow_value: f32,
 }
 
 /// Where a shadow ray ends, as a share of the distance to the light: 1 − 2⁻²⁰, so that a surface in which a lamp lies
 /// flush does not shade it by rounding.
 pub const SHADOW_END: f32 = 1.0 - 1.0 / 1_048_576.0;
-/// Bounces from which roulette is played: the fourth surface and later ones.
-pub const ROULETTE_FROM_BOUNCE: u32 = 3;
+
+impl<'a> Transport<'a> {
+    /// Independent samples, no direct light, roulette by throughput, no guide.
+    pub fn plain(scene: &'a CompiledScene, lanes: &'a ShapeLanes, uniforms: &'a Uniforms) -> Transport<'a> {
+        Transport {
+            scene,
+            lanes,
+            uniforms,
+            sampler: Sampler::Independent,
+            direct_light: false,
+            roulette: Roulette::Throughput,
+            guidance: None,
+        }
+    }
+}
 
 impl Transport<'_> {
     /// Paths of a batch are numbered sample by sample, pixel by pixel.
@@ -76,9 +101,16 @@ impl Transport<'_> {
         ray.throughput * self.uniforms.environment
     }
 
-    /// Light that the surface itself sends back along the ray. Direct-light sampling could have found it too, unless the
-    /// ray came from the camera or a delta lobe (pdf = 0), so it shares the contribution by multiple importance sampling.
-    fn emitted(&self, ray: &RayItem, hit: Hit, surface: &Surface, material: &Material) -> Vec3 {
+    /// What such a ray teaches.
+    pub fn environment_transition(&self, trail: &Trail) -> Transition {
+        let value = luminance(self.uniforms.environment) * trail.weight;
+        Transition { slot: trail.slot, value, ..Default::default() }
+    }
+
+    /// Radiance that the surface itself sends back along the ray. Direct-light sampling could have found it too, unless
+    /// the ray came from the camera or a delta lobe (pdf = 0), so it shares the contribution by multiple importance
+    /// sampling.
+    fn emission(&self, ray: &RayItem, hit: Hit, surface: &Surface, material: &Material) -> Vec3 {
         if ray.direction.dot(surface.normal) >= 0.0 || material.emission.max_element() <= 0.0 {
             return Vec3::ZERO;
         }
@@ -91,16 +123,18 @@ impl Transport<'_> {
                 weight = mis_weight(ray.pdf, pdf);
             }
         }
-        ray.throughput * material.emission * weight
+        material.emission * weight
     }
 
-    /// Next-event estimation: one light, one direction, to be tested for occlusion. None where nothing can arrive.
+    /// Next-event estimation: one light, one direction, to be tested for occlusion. None where nothing can arrive. Its
+    /// radiance is what arrives at this surface's viewer, throughput not included.
     fn direct_light(
         &self,
         ray: &RayItem,
         surface: &Surface,
         normal: Vec3,
         material: &Material,
+        point: Option<&GuidePoint>,
         key: SampleKey,
     ) -> Option<ShadowItem> {
         let u = sample4(self.sampler, key, dimension_light(ray.bounce));
@@ -115,34 +149,50 @@ impl Transport<'_> {
         if bsdf.value.max_element() <= 0.0 {
             return None;
         }
+        let continued = point.map_or(bsdf.pdf, |point| self.guided_pdf(point, normal, towards.wi));
         let pdf = light.pick_probability * towards.pdf;
         let emission = self.scene.materials[light.material as usize].emission;
-        let radiance = ray.throughput * bsdf.value * emission * (mis_weight(pdf, bsdf.pdf) / pdf);
         Some(ShadowItem {
             origin,
             t_max: towards.t * SHADOW_END,
             direction: towards.wi,
             path: ray.path,
-            radiance,
+            radiance: bsdf.value * emission * (mis_weight(pdf, continued) / pdf),
             light_shape: light.shape,
         })
     }
 
-    /// Chance with which the path goes on: min(1, largest component of its throughput); a survivor carries the weight of
-    /// those that did not. Never at glass, where the solid-angle factor comes and goes.
-    fn roulette_survival(&self, throughput: Vec3, bounce: u32, kind: u32) -> f32 {
-        if !self.roulette || bounce < ROULETTE_FROM_BOUNCE || kind == KIND_DIELECTRIC {
-            return 1.0;
-        }
-        throughput.max_element().min(1.0)
+    /// The direction in which the path would go on, chosen by the material, or by the guide among what its Lambertian
+    /// lobe may choose; and what the path remembers of that.
+    fn scatter(
+        &self,
+        ray: &RayItem,
+        material: &Material,
+        normal: Vec3,
+        outside: bool,
+        point: Option<&GuidePoint>,
+        key: SampleKey,
+    ) -> (BsdfSample, Option<u32>) {
+        let u = sample4(self.sampler, key, dimension_bsdf(ray.bounce));
+        let mirrored = material.kind == KIND_MIRROR && u.z < material.parameter;
+        let Some(point) = point.filter(|_| !mirrored) else {
+            return (bsdf_sample(material, normal, -ray.direction, outside, u.xyz()), None);
+        };
+        let wi = self.guided_direction(point, normal, u.xy(), key, ray.bounce);
+        let pdf = self.guided_pdf(point, normal, wi);
+        let lobe = point.share * pdf_cosine(normal.dot(wi));
+        let weight = if pdf > 0.0 { material.color * (lobe / pdf) } else { Vec3::ZERO };
+        (BsdfSample { wi, weight, pdf }, Some(self.guided_slot(point, normal, wi)))
     }
 
     /// Everything that happens where a ray meets a surface.
-    pub fn shade(&self, ray: &RayItem, hit: Hit) -> ShadeOutcome {
+    pub fn shade(&self, ray: &RayItem, trail: &Trail, hit: Hit) -> ShadeOutcome {
         let surface = surface_at(self.scene, Ray { origin: ray.origin, direction: ray.direction }, hit);
         let material = &self.scene.materials[shape_info(self.scene, hit.shape).material as usize];
-        let mut outcome =
-            ShadeOutcome { emitted: self.emitted(ray, hit, &surface, material), ..Default::default() };
+        let emission = self.emission(ray, hit, &surface, material);
+        let mut outcome = ShadeOutcome { emitted: ray.throughput * emission, ..Default::default() };
+        outcome.transition =
+            Transition { slot: trail.slot, value: luminance(emission) * trail.weight, ..Default::default() };
         if ray.bounce + 1 >= self.uniforms.max_bounces || material.color.max_element() <= 0.0 {
             return outcome;
         }
@@ -150,19 +200,31 @@ impl Transport<'_> {
         let key = self.sample_key(ray.path);
         let outside = ray.direction.dot(surface.normal) < 0.0;
         let normal = if outside { surface.normal } else { -surface.normal };
+        let point = self.guide_point(&surface, normal, material);
+        let point = point.as_ref();
+        if let Some(point) = point {
+            outcome.transition.value += self.learnt_radiance(point, material) * trail.weight;
+        }
         if self.direct_light && material.kind != KIND_DIELECTRIC {
-            outcome.shadow = self.direct_light(ray, &surface, normal, material, key);
+            outcome.shadow = self.direct_light(ray, &surface, normal, material, point, key);
+            if let Some(shadow) = &mut outcome.shadow {
+                outcome.shadow_value = luminance(shadow.radiance) * trail.weight;
+                shadow.radiance *= ray.throughput;
+            }
         }
 
+        let (scattered, slot) = self.scatter(ray, material, normal, outside, point, key);
+        let survival = self.roulette_survival(ray, ray.throughput * scattered.weight, material, point, key);
+        outcome.trail = match (point, slot) {
+            (Some(point), Some(slot)) => {
+                let weight = self.visit(point, &scattered, normal, slot, &mut outcome.transition);
+                Trail { slot, weight: weight / survival, ..Default::default() }
+            }
+            _ => Trail { weight: trail.weight * luminance(scattered.weight) / survival, ..*trail },
+        };
         let u = sample4(self.sampler, key, dimension_bsdf(ray.bounce));
-        let scattered = bsdf_sample(material, normal, -ray.direction, outside, u.xyz());
-        let mut throughput = ray.throughput * scattered.weight;
-        let survival = self.roulette_survival(throughput, ray.bounce, material.kind);
-        if u.w >= survival {
-            return outcome;
-        }
-        throughput /= survival;
-        if throughput.max_element() <= 0.0 {
+        let throughput = ray.throughput * scattered.weight / survival;
+        if u.w >= survival || throughput.max_element() <= 0.0 {
             return outcome;
         }
         let next = spawn_ray(&surface, scattered.wi);

@@ -2,6 +2,7 @@
 
 use super::items::RayItem;
 use super::path::Transport;
+use crate::guiding::{Trail, Transition};
 use crate::scene::shapes::Ray;
 use glam::Vec3;
 
@@ -12,35 +13,57 @@ pub struct StepOutcome {
     pub direct: Vec3,
     /// The path goes on with this ray.
     pub ray: Option<RayItem>,
+    pub trail: Trail,
 }
 
 impl Transport<'_> {
-    pub fn step(&self, ray: &RayItem) -> StepOutcome {
+    pub fn step(&self, ray: &RayItem, trail: &Trail) -> StepOutcome {
         let hit = self.lanes.intersect(Ray { origin: ray.origin, direction: ray.direction });
         let Some(hit) = hit else {
+            self.learn(&self.environment_transition(trail));
             return StepOutcome { emitted: self.environment(ray), ..Default::default() };
         };
-        let shaded = self.shade(ray, hit);
+        let shaded = self.shade(ray, trail, hit);
+        self.learn(&shaded.transition);
         let direct = match shaded.shadow {
             Some(shadow) => {
                 let towards = Ray { origin: shadow.origin, direction: shadow.direction };
                 let blocked = self.lanes.occluded(towards, shadow.t_max, shadow.light_shape);
-                if blocked { Vec3::ZERO } else { shadow.radiance }
+                if blocked {
+                    Vec3::ZERO
+                } else {
+                    self.learn(&Transition {
+                        slot: trail.slot,
+                        value: shaded.shadow_value,
+                        ..Default::default()
+                    });
+                    shadow.radiance
+                }
             }
             None => Vec3::ZERO,
         };
-        StepOutcome { emitted: shaded.emitted, direct, ray: shaded.ray }
+        StepOutcome { emitted: shaded.emitted, direct, ray: shaded.ray, trail: shaded.trail }
+    }
+
+    /// Adds a transition to the pass's sums.
+    fn learn(&self, transition: &Transition) {
+        if let Some(guidance) = self.guidance
+            && guidance.table.uniforms.learning != 0
+        {
+            guidance.sums.learn(guidance.table, transition);
+        }
     }
 
     /// The radiance that a whole path brings to the camera.
     pub fn trace(&self, path: u32) -> Vec3 {
         let mut radiance = Vec3::ZERO;
+        let mut trail = Trail::default();
         let mut next = Some(self.generate(path));
         while let Some(ray) = next {
-            let outcome = self.step(&ray);
+            let outcome = self.step(&ray, &trail);
             radiance += outcome.emitted;
             radiance += outcome.direct;
-            next = outcome.ray;
+            (next, trail) = (outcome.ray, outcome.trail);
         }
         radiance
     }

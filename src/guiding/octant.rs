@@ -1,0 +1,120 @@
+//! Octants of directions, Bansal's eight actions: their numbers, their shares of a cosine lobe in closed form, and exact
+//! sampling of that lobe inside one of them. GPU twin: kernels/guiding/octant.wesl
+
+use crate::random::{SampleKey, Sampler, dimension_guide, sample4};
+use crate::sampling::sample_cosine;
+use glam::{Vec2, Vec3, Vec4};
+use std::f32::consts::{FRAC_1_PI, FRAC_PI_2, FRAC_PI_4};
+
+/// Number of the octant in which `direction` lies: bit 0 for x ≤ 0, bit 1 for y ≤ 0, bit 2 for z ≤ 0 (Bansal 2018).
+/// Total: −0 counts as 0, and whatever is not ≤ 0 counts as positive.
+pub fn octant_of(direction: Vec3) -> u32 {
+    u32::from(direction.x <= 0.0) | u32::from(direction.y <= 0.0) << 1 | u32::from(direction.z <= 0.0) << 2
+}
+
+/// The signs (±1, ±1, ±1) of the directions in an octant.
+pub fn octant_signs(octant: u32) -> Vec3 {
+    let sign = |bit: u32| if octant >> bit & 1 == 0 { 1.0 } else { -1.0 };
+    Vec3::new(sign(0), sign(1), sign(2))
+}
+
+/// ∫ max(0, s·ω) over the octant of positive directions, for a unit vector s with s = (a, b, −w), all of them ≥ 0, in
+/// any order of the axes: Lambert's formula for the spherical quadrangle that the horizon leaves of the octant.
+fn one_axis_below(a: f32, b: f32, w: f32) -> f32 {
+    let across = a * b / ((w * w + a * a) * (w * w + b * b)).sqrt().max(1e-20);
+    0.5 * (a * b.atan2(w) + b * a.atan2(w) + across.min(1.0).acos() - w * FRAC_PI_2)
+}
+
+/// The share of a cosine lobe about the unit vector `normal` that an octant receives: ∫ max(0, cosθ)/π over it. The
+/// eight shares add up to 1. Closed form: σ·n/4 for an octant that lies above the horizon, Lambert's polygon else.
+pub fn octant_share(normal: Vec3, octant: u32) -> f32 {
+    let s = normal * octant_signs(octant);
+    let (above, below) = (s.max(Vec3::ZERO), (-s).max(Vec3::ZERO));
+    let (sum_above, sum_below) = (above.element_sum(), below.element_sum());
+    if sum_below <= 0.0 {
+        return 0.25 * sum_above;
+    }
+    if sum_above <= 0.0 {
+        return 0.0;
+    }
+    // Of the three axes, one is alone on its side of the horizon.
+    let axes_below = u32::from(s.x < 0.0) + u32::from(s.y < 0.0) + u32::from(s.z < 0.0);
+    let single_below = axes_below == 1;
+    let (alone, others) = if single_below { (below, above) } else { (above, below) };
+    let [a, b, w] = if alone.x > 0.0 {
+        [others.y, others.z, alone.x]
+    } else if alone.y > 0.0 {
+        [others.z, others.x, alone.y]
+    } else {
+        [others.x, others.y, alone.z]
+    };
+    // ∫ max(0, s·ω) − ∫ max(0, −s·ω) = ∫ s·ω = (π/4) Σ s: two axes below follow from one axis below.
+    let complement = if single_below { 0.0 } else { FRAC_PI_4 * (sum_above - sum_below) };
+    (FRAC_1_PI * (one_axis_below(a, b, w) + complement)).max(0.0)
+}
+
+/// Draws inside a cut octant before one is taken as it comes.
+pub const OCTANT_DRAWS: u32 = 4;
+
+/// The proposal inside an octant: density ∝ Σ max(0, s_i)·|ω_i| over the whole octant, which is the cosine lobe itself
+/// where nothing is cut off, and lies above it elsewhere.
+fn propose(above: Vec3, signs: Vec3, u: Vec2, choice: f32) -> Vec3 {
+    let c = sample_cosine(Vec2::new(u.x, 0.25 * u.y));
+    let c = Vec3::new(c.x.abs(), c.y.abs(), c.z);
+    let at = choice * above.element_sum();
+    let local = if at < above.x {
+        Vec3::new(c.z, c.x, c.y)
+    } else if at < above.x + above.y {
+        Vec3::new(c.y, c.z, c.x)
+    } else {
+        c
+    };
+    local * signs
+}
+
+/// A direction of `octant` with the density [`pdf_in_octant`]. Cut octants take the first of [`OCTANT_DRAWS`] proposals
+/// that the horizon accepts, and the last one as it comes; it may lie below the horizon and is then worth nothing.
+/// `first` holds the numbers of the first draw: acceptance, two for the direction, choice of the axis.
+pub fn sample_in_octant(
+    normal: Vec3,
+    octant: u32,
+    first: Vec4,
+    sampler: Sampler,
+    key: SampleKey,
+    bounce: u32,
+) -> Vec3 {
+    let signs = octant_signs(octant);
+    let s = normal * signs;
+    let above = s.max(Vec3::ZERO);
+    let mut u = first;
+    let mut direction = Vec3::ZERO;
+    for draw in 1..=OCTANT_DRAWS {
+        direction = propose(above, signs, Vec2::new(u.y, u.z), u.w);
+        let proposed = above.dot(direction * signs);
+        if draw == OCTANT_DRAWS || u.x * proposed < normal.dot(direction) {
+            break;
+        }
+        u = sample4(sampler, key, dimension_guide(bounce, draw));
+    }
+    direction
+}
+
+/// Density of [`sample_in_octant`] in sr⁻¹ for a direction in the octant; it integrates to 1 over the octant.
+pub fn pdf_in_octant(normal: Vec3, octant: u32, direction: Vec3) -> f32 {
+    let s = normal * octant_signs(octant);
+    let above = s.max(Vec3::ZERO);
+    let cos_theta = normal.dot(direction).max(0.0);
+    let whole = 0.25 * above.element_sum();
+    if whole <= 0.0 {
+        return 0.0;
+    }
+    if s.min_element() >= 0.0 {
+        return cos_theta * FRAC_1_PI / whole;
+    }
+    // The first three draws are kept with probability `accepted` each; what is left of them is taken as proposed.
+    let accepted = (octant_share(normal, octant) / whole).min(1.0);
+    let rejected = 1.0 - accepted;
+    let left = rejected * rejected * rejected;
+    let proposal = above.dot(direction.abs()) * FRAC_1_PI / whole;
+    (1.0 + rejected + rejected * rejected) * cos_theta * FRAC_1_PI / whole + left * proposal
+}

@@ -1,0 +1,31 @@
+//! What is estimated and how.
+
+use super::roulette::Roulette;
+use crate::guiding::GuideMode;
+use crate::random::Sampler;
+
+/// The estimators of a render: the caller's choices, and the scene's where the caller made none.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Estimators {
+    /// Next-event estimation, combined with the other directions by multiple importance sampling.
+    pub direct_light: bool,
+    pub roulette: Roulette,
+    /// Survival in roulette is this times what it would be, up to certainty.
+    pub roulette_scale: f32,
+    pub sampler: Sampler,
+    /// Levels of a path, 1 to 64.
+    pub max_bounces: u32,
+    pub guide: GuideMode,
+}
+
+impl Estimators {
+    /// Whether a table is learnt: for directions or for roulette.
+    pub fn learns(&self) -> bool {
+        self.guide != GuideMode::Off || self.roulette == Roulette::Learnt
+    }
+
+    /// The kind of table. Learnt roulette alone keeps an adaptive one, which then guides nothing.
+    pub fn table_mode(&self) -> GuideMode {
+        if self.guide == GuideMode::Off { GuideMode::Adaptive } else { self.guide }
+    }
+}

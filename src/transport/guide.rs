@@ -1,0 +1,185 @@
+//! How the guide takes part in a path: what it knows at a surface, the mixture with the material's own choice, what is
+//! learnt on the way. GPU twin: kernels/transport/guide.wesl
+
+use super::path::Transport;
+use crate::bsdf::{BsdfSample, lambert_share};
+use crate::guiding::lessons::MISSING;
+use crate::guiding::table::{Cell, CellPlace, GuidedDensity, NO_CELL, adaptive, bansal, octants};
+use crate::guiding::{GuideMode, GuideTable, LessonSums, Transition};
+use crate::math::{luminance, to_world};
+use crate::random::{SampleKey, dimension_guide, sample4};
+use crate::sampling::{pdf_cosine, sample_cosine};
+use crate::scene::compiled::Material;
+use crate::scene::shapes::Surface;
+use glam::{Vec2, Vec3, Vec4, Vec4Swizzles};
+use std::f32::consts::FRAC_1_PI;
+
+/// The table that is asked, and the sums that learn.
+#[derive(Clone, Copy, Debug)]
+pub struct Guidance<'a> {
+    pub mode: GuideMode,
+    pub table: &'a GuideTable,
+    pub sums: &'a LessonSums,
+}
+
+/// What the guide knows at a surface point that has a Lambertian lobe.
+#[derive(Clone, Copy, Debug)]
+pub struct GuidePoint {
+    pub place: CellPlace,
+    pub cell: Cell,
+    /// Probability with which a direction of the Lambertian lobe is guided.
+    pub mixture: f32,
+    /// Irradiance over π, as far as direct light does not account for it: times the albedo, what the lobe sends back.
+    pub mean: f32,
+    /// The Lambertian lobe's part of the material.
+    pub share: f32,
+}
+
+impl Transport<'_> {
+    /// What the guide knows here; None where it has no part: guiding is off, or the material has no Lambertian lobe.
+    pub fn guide_point(&self, surface: &Surface, normal: Vec3, material: &Material) -> Option<GuidePoint> {
+        let guidance = self.guidance?;
+        let share = lambert_share(material);
+        if share <= 0.0 {
+            return None;
+        }
+        let place = guidance.table.place(surface.position, normal);
+        let empty = Cell { index: 0, octants: [0.0; 8], roots: 0, irradiance: 0.0, trust: 0.0 };
+        let cell = if place.cell == NO_CELL { empty } else { guidance.table.cell(place.cell) };
+        let mean = match guidance.mode {
+            GuideMode::Octant if cell.trust > 0.0 => octants::mean_radiance(&cell, normal),
+            GuideMode::Adaptive => cell.irradiance * FRAC_1_PI,
+            _ => 0.0,
+        };
+        let mixture = if mean > 0.0 { cell.trust * guidance.table.uniforms.mixture } else { 0.0 };
+        Some(GuidePoint { place, cell, mixture, mean, share })
+    }
+
+    /// The guide's own density of `wi`, and the slot that learns about it.
+    fn guide_density(
+        &self,
+        guidance: &Guidance,
+        point: &GuidePoint,
+        normal: Vec3,
+        wi: Vec3,
+    ) -> GuidedDensity {
+        match guidance.mode {
+            GuideMode::Octant => octants::density(&point.cell, normal, point.mean, wi),
+            _ => adaptive::density(guidance.table, &point.cell, wi),
+        }
+    }
+
+    /// Density with which [`Transport::guided_direction`] chooses `wi`, the material's delta part counted off.
+    pub fn guided_pdf(&self, point: &GuidePoint, normal: Vec3, wi: Vec3) -> f32 {
+        let Some(guidance) = self.guidance else { return 0.0 };
+        let cosine = pdf_cosine(normal.dot(wi));
+        if guidance.mode.is_bansal() {
+            let exact = bansal::pdf(&point.cell, guidance.table.uniforms.threshold, normal, wi);
+            return point.share * if guidance.mode.is_biased() { cosine } else { exact };
+        }
+        if point.mixture <= 0.0 {
+            return point.share * cosine;
+        }
+        let guided = self.guide_density(&guidance, point, normal, wi).pdf;
+        point.share * ((1.0 - point.mixture) * cosine + point.mixture * guided)
+    }
+
+    /// A direction for the Lambertian lobe: the guide's or the material's. Its density is [`Transport::guided_pdf`].
+    pub fn guided_direction(
+        &self,
+        point: &GuidePoint,
+        normal: Vec3,
+        u: Vec2,
+        key: SampleKey,
+        bounce: u32,
+    ) -> Vec3 {
+        let Some(guidance) = self.guidance else { return normal };
+        if guidance.mode.is_bansal() {
+            return self.redrawn_direction(&guidance, point, normal, u, key, bounce);
+        }
+        let choice = sample4(self.sampler, key, dimension_guide(bounce, 0));
+        if choice.x >= point.mixture {
+            return to_world(sample_cosine(u), normal);
+        }
+        let u = Vec4::new(choice.x / point.mixture, choice.y, choice.z, choice.w);
+        match guidance.mode {
+            GuideMode::Octant => {
+                octants::sample(&point.cell, normal, point.mean, u, self.sampler, key, bounce)
+            }
+            _ => adaptive::sample(guidance.table, &point.cell, u.w, u.yz()),
+        }
+    }
+
+    /// Bansal's rule.
+    fn redrawn_direction(
+        &self,
+        guidance: &Guidance,
+        point: &GuidePoint,
+        normal: Vec3,
+        u: Vec2,
+        key: SampleKey,
+        bounce: u32,
+    ) -> Vec3 {
+        let threshold = guidance.table.uniforms.threshold;
+        let mut wi = to_world(sample_cosine(u), normal);
+        for draw in 1..bansal::DRAWS {
+            if bansal::accepts(&point.cell, threshold, crate::guiding::octant::octant_of(wi)) {
+                break;
+            }
+            let u = sample4(self.sampler, key, dimension_guide(bounce, draw));
+            wi = to_world(sample_cosine(u.xy()), normal);
+        }
+        wi
+    }
+
+    /// The slot that learns what arrives from `wi`.
+    pub fn guided_slot(&self, point: &GuidePoint, normal: Vec3, wi: Vec3) -> u32 {
+        match self.guidance {
+            Some(guidance) if point.place.cell != NO_CELL => {
+                self.guide_density(&guidance, point, normal, wi).slot
+            }
+            _ => 0,
+        }
+    }
+
+    /// Counts the visit of a path that leaves into the direction `scattered`, whose slot is `slot`, and gives the weight
+    /// that radiance from there has. Adaptive cells learn irradiance: a visit counts 1, by eighths of the cell, which says
+    /// where to cut it. Octants learn mean radiance, weighted by the cosine: a visit counts its weight.
+    pub fn visit(
+        &self,
+        point: &GuidePoint,
+        scattered: &BsdfSample,
+        normal: Vec3,
+        slot: u32,
+        transition: &mut Transition,
+    ) -> f32 {
+        let Some(guidance) = self.guidance else { return 0.0 };
+        transition.visit = 1.0;
+        if point.place.cell == NO_CELL {
+            transition.visited = MISSING | point.place.base;
+            return 0.0;
+        }
+        let cosine = normal.dot(scattered.wi).max(0.0);
+        let weight = if scattered.pdf > 0.0 { point.share * cosine / scattered.pdf } else { 0.0 };
+        match guidance.mode {
+            GuideMode::Adaptive => transition.visited = 8 * point.place.cell + point.place.eighth,
+            GuideMode::Octant => (transition.visited, transition.visit) = (slot, weight),
+            _ => {
+                transition.visited = slot;
+                return 1.0;
+            }
+        }
+        weight
+    }
+
+    /// What the surface is worth to the one before, beyond what it emits and what direct light brings: its albedo times
+    /// the mean radiance that it has learnt; for Bansal a share of its best Q.
+    pub fn learnt_radiance(&self, point: &GuidePoint, material: &Material) -> f32 {
+        match self.guidance {
+            Some(guidance) if guidance.mode.is_bansal() => {
+                (guidance.table.uniforms.discount * bansal::best(&point.cell)).min(1.0)
+            }
+            _ => luminance(material.color) * point.share * point.mean,
+        }
+    }
+}
