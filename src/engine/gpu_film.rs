@@ -8,6 +8,7 @@ use crate::gpu::kernel::Kernel;
 use crate::gpu::key::KernelKey;
 use crate::gpu::link::link;
 use crate::gpu::stage::{GRID_WIDTH, Schedule, Stage, WORKGROUP};
+use crate::guiding::{GuideTable, GuideUniforms, LessonLayout, Lessons};
 use crate::scene::compiled::{CompiledScene, Uniforms};
 use std::collections::HashMap;
 use std::time::Instant;
@@ -32,6 +33,8 @@ pub struct GpuFilm {
     pub max_paths: u32,
     resolve_bind: Option<wgpu::BindGroup>,
     clock: Clock,
+    /// How the sums of what is learnt lie in their buffer.
+    lessons: LessonLayout,
 }
 
 /// The GPU's own clock around each submission, where it has one.
@@ -82,6 +85,7 @@ impl GpuFilm {
             max_paths,
             resolve_bind: None,
             clock,
+            lessons: LessonLayout::default(),
         };
         film.upload_scene(scene)?;
         Ok(film)
@@ -126,6 +130,51 @@ impl GpuFilm {
         self.stats.buffers = self.buffers.bytes();
         self.resolve_bind = Some(self.bind(Stage::Resolve, &[]));
         Ok(true)
+    }
+
+    /// Uploads a table and clears the sums; true if bind groups must be made anew.
+    pub fn set_guide(&mut self, table: &GuideTable) -> Result<bool, RenderError> {
+        if !self.is_bound("guide_rows") {
+            return Ok(false);
+        }
+        self.lessons = LessonLayout::new(&table.uniforms);
+        let (storage, uniform) = (BufferUsages::STORAGE | BufferUsages::COPY_DST, BufferUsages::UNIFORM);
+        let wanted = [
+            ("guide_rows", 16 * table.rows.len() as u64, storage),
+            ("guide", size_of::<GuideUniforms>() as u64, uniform | BufferUsages::COPY_DST),
+            ("lessons", 4 * self.lessons.words(), storage | BufferUsages::COPY_SRC),
+        ];
+        let mut grown = false;
+        for (name, bytes, usage) in wanted {
+            if self.is_bound(name) && self.buffers.size(name).is_none_or(|size| size < bytes) {
+                // Tables grow from pass to pass: room to spare keeps the buffers for some passes.
+                let room = if name == "guide" { bytes } else { bytes + bytes / 2 };
+                let room = room.min(self.gpu.summary.max_binding.max(bytes));
+                self.buffers.create(&self.gpu, name, room, usage)?;
+                grown = true;
+            }
+        }
+        let queue = &self.gpu.queue;
+        queue.write_buffer(self.buffers.get("guide_rows"), 0, bytemuck::cast_slice(&table.rows));
+        queue.write_buffer(self.buffers.get("guide"), 0, bytemuck::bytes_of(&table.uniforms));
+        if self.is_bound("lessons") {
+            let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
+            encoder.clear_buffer(self.buffers.get("lessons"), 0, None);
+            queue.submit([encoder.finish()]);
+        }
+        self.stats.buffers = self.buffers.bytes();
+        self.gpu.check()?;
+        Ok(grown)
+    }
+
+    /// What was learnt since the table was put in place.
+    pub fn take_lessons(&mut self) -> Result<Lessons, RenderError> {
+        if !self.is_bound("lessons") {
+            return Ok(Lessons::default());
+        }
+        let bytes = (4 * self.lessons.words()).max(4);
+        let words = self.gpu.read(&[(self.buffers.get("lessons"), bytes)])?;
+        Ok(Lessons::from_words(self.lessons, &bytemuck::pod_collect_to_vec::<u8, u32>(&words[0])))
     }
 
     /// Binds the buffers of a stage, with some renamed; see [`Kernel::bind`].

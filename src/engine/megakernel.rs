@@ -45,6 +45,10 @@ impl Tracer for MegakernelEngine {
         Ok(())
     }
 
+    fn unbind(&mut self) {
+        self.bind = None;
+    }
+
     /// In dispatches of paced size.
     fn trace(&mut self, batch: &Batch, cancel: &CancelToken) -> Result<bool, RenderError> {
         let uniforms = self.gpu.batch_uniforms(batch);

@@ -18,6 +18,9 @@ pub trait Tracer: Send {
     /// Makes buffers and bind groups for batches of this size.
     fn prepare(&mut self, batch: &Batch) -> Result<(), RenderError>;
 
+    /// Forgets its bind groups, since buffers were replaced.
+    fn unbind(&mut self);
+
     /// Leaves the radiance of every path of the batch in its buffer; false if cancelled before that.
     fn trace(&mut self, batch: &Batch, cancel: &CancelToken) -> Result<bool, RenderError>;
 }
@@ -50,12 +53,14 @@ impl<T: Tracer> Engine for T {
     }
 
     fn set_guide(&mut self, table: GuideTable) -> Result<(), RenderError> {
-        let _ = table;
-        todo!()
+        if self.gpu_mut().set_guide(&table)? {
+            self.unbind();
+        }
+        Ok(())
     }
 
     fn take_lessons(&mut self) -> Result<Lessons, RenderError> {
-        todo!()
+        self.gpu_mut().take_lessons()
     }
 
     fn step_samples(&self) -> u32 {

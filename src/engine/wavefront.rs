@@ -8,6 +8,7 @@ use crate::gpu::device::Gpu;
 use crate::gpu::error::GpuError;
 use crate::gpu::key::KernelKey;
 use crate::gpu::stage::{Counter, Stage, argument_words, counter_words, queue_names};
+use crate::guiding::{Trail, Transition};
 use crate::scene::compiled::{CompiledScene, Uniforms};
 use crate::transport::items::{HitItem, RayItem, ShadowItem};
 use wgpu::BufferUsages;
@@ -61,15 +62,18 @@ impl WavefrontEngine {
     /// The queues that some kernel binds, at the capacity in the uniforms.
     fn create_queues(&mut self) -> Result<(), RenderError> {
         let capacity = u64::from(self.gpu.uniforms.capacity);
+        // Where something is learnt, rays and shadow rays have a fourth row: what their path remembers.
+        let trail = if self.gpu.key.guide.is_some() { size_of::<Trail>() as u64 } else { 0 };
         let queue_bytes = [
-            ("rays_a", size_of::<RayItem>() as u64, true),
-            ("rays_b", size_of::<RayItem>() as u64, true),
+            ("rays_a", size_of::<RayItem>() as u64 + trail, true),
+            ("rays_b", size_of::<RayItem>() as u64 + trail, true),
             (
                 "hits",
                 size_of::<HitItem>() as u64 * u64::from(self.gpu.key.hit_queues()),
                 self.gpu.is_bound("hits"),
             ),
-            ("shadows", size_of::<ShadowItem>() as u64, self.gpu.is_bound("shadows")),
+            ("shadows", size_of::<ShadowItem>() as u64 + trail, self.gpu.is_bound("shadows")),
+            ("transitions", size_of::<Transition>() as u64, self.gpu.is_bound("transitions")),
         ];
         let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC | BufferUsages::COPY_DST;
         for (name, item_bytes, bound) in queue_bytes {
@@ -88,6 +92,23 @@ impl WavefrontEngine {
         )?;
         self.gpu.stats.buffers = self.gpu.buffers.bytes();
         Ok(())
+    }
+
+    /// Binds each stage for both roles of the two ray queues.
+    fn bind_stages(&mut self) {
+        let bind = |stage: Stage, names: &[(&str, &str)]| self.gpu.bind(stage, names);
+        self.binds = self
+            .level
+            .iter()
+            .map(|&stage| {
+                // Generation appends to the queue that the rest of the level reads.
+                let out = |this, other| if stage == Stage::Generate { this } else { other };
+                [
+                    bind(stage, &[("rays_in", "rays_a"), ("rays_out", out("rays_a", "rays_b"))]),
+                    bind(stage, &[("rays_in", "rays_b"), ("rays_out", out("rays_b", "rays_a"))]),
+                ]
+            })
+            .collect();
     }
 
     /// Levels after which any batch is done: the pool is filled again at the latest when all its paths are at their end.
@@ -152,25 +173,19 @@ impl Tracer for WavefrontEngine {
     fn prepare(&mut self, batch: &Batch) -> Result<(), RenderError> {
         let capacity = self.capacity(batch);
         let grown = self.gpu.reserve(batch)?;
-        if !grown && !self.binds.is_empty() && self.gpu.uniforms.capacity >= capacity {
-            return Ok(());
+        let more_capacity = self.gpu.uniforms.capacity < capacity;
+        if more_capacity {
+            self.gpu.uniforms.capacity = capacity;
+            self.create_queues()?;
         }
-        self.gpu.uniforms.capacity = capacity.max(self.gpu.uniforms.capacity);
-        self.create_queues()?;
-        let bind = |stage: Stage, names: &[(&str, &str)]| self.gpu.bind(stage, names);
-        self.binds = self
-            .level
-            .iter()
-            .map(|&stage| {
-                // Generation appends to the queue that the rest of the level reads.
-                let out = |this, other| if stage == Stage::Generate { this } else { other };
-                [
-                    bind(stage, &[("rays_in", "rays_a"), ("rays_out", out("rays_a", "rays_b"))]),
-                    bind(stage, &[("rays_in", "rays_b"), ("rays_out", out("rays_b", "rays_a"))]),
-                ]
-            })
-            .collect();
+        if grown || more_capacity || self.binds.is_empty() {
+            self.bind_stages();
+        }
         Ok(())
+    }
+
+    fn unbind(&mut self) {
+        self.binds.clear();
     }
 
     /// Levels until the batch is done.
@@ -191,7 +206,8 @@ impl Tracer for WavefrontEngine {
             counters = bytemuck::pod_collect_to_vec(&status);
             self.check_overflow(&counters)?;
             let counter = |c: Counter| counters[c as usize];
-            let flying = counter(Counter::Survivors) + counter(Counter::Shadows);
+            let flying =
+                counter(Counter::Survivors) + counter(Counter::Shadows) + counter(Counter::Transitions);
             if flying == 0 && counter(Counter::NextPath) == batch.paths() {
                 break;
             }

@@ -51,6 +51,11 @@ impl Buffers {
         &self.by_name[name]
     }
 
+    /// Bytes of a buffer, None if it was never made.
+    pub fn size(&self, name: &str) -> Option<u64> {
+        self.by_name.get(name).map(wgpu::Buffer::size)
+    }
+
     /// Bytes by name: what `--stats` shows and what tests assert.
     pub fn bytes(&self) -> BTreeMap<String, u64> {
         self.by_name.iter().map(|(name, buffer)| (name.clone(), buffer.size())).collect()

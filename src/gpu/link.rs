@@ -4,6 +4,7 @@
 use super::key::KernelKey;
 use super::stage::{Schedule, Stage};
 use crate::film::BlockSum;
+use crate::guiding::{GuideUniforms, Trail, Transition};
 use crate::layout::GpuStruct;
 use crate::scene::compiled::{Light, Material, Quad, Sphere, Uniforms};
 use crate::transport::items::{HitItem, RayItem, ShadowItem};
@@ -29,14 +30,22 @@ pub const MODULES: &[(&str, &str)] = modules![
     "bsdf/glossy",
     "bsdf/interface",
     "bsdf/mirror",
+    "guiding/data",
+    "guiding/lessons",
+    "guiding/octant",
+    "guiding/quadtree",
+    "guiding/table",
+    "transport/guide",
     "transport/light",
     "transport/path",
+    "transport/roulette",
     "transport/step",
     "stages/arguments",
     "stages/compact",
     "stages/environment",
     "stages/generate",
     "stages/intersect",
+    "stages/learn",
     "stages/megakernel",
     "stages/prepare_rays",
     "stages/prepare_shade",
@@ -69,6 +78,11 @@ fn item_declarations() -> String {
         ShadowItem::wgsl(),
         ShadowItem::wgsl_rows(),
         BlockSum::wgsl(),
+        GuideUniforms::wgsl(),
+        Trail::wgsl(),
+        Trail::wgsl_rows(),
+        Transition::wgsl(),
+        Transition::wgsl_rows(),
     ]
     .join("\n")
 }

@@ -41,12 +41,16 @@ pub enum Counter {
     Shadows,
     /// Shadow rays being traced.
     ShadowsLive,
+    /// Transitions pushed.
+    Transitions,
+    /// Transitions being learnt.
+    TransitionsLive,
     /// Rays traced by this batch, shadow rays not counted.
     Rays,
     FirstHit,
 }
 
-const COUNTER_NAMES: [&str; 9] = [
+const COUNTER_NAMES: [&str; 11] = [
     "COUNTER_OVERFLOW",
     "COUNTER_SURVIVORS",
     "COUNTER_LIVE",
@@ -54,6 +58,8 @@ const COUNTER_NAMES: [&str; 9] = [
     "COUNTER_NEXT_PATH",
     "COUNTER_SHADOWS",
     "COUNTER_SHADOWS_LIVE",
+    "COUNTER_TRANSITIONS",
+    "COUNTER_TRANSITIONS_LIVE",
     "COUNTER_RAYS",
     "FIRST_HIT_COUNTER",
 ];
@@ -64,6 +70,7 @@ pub enum Argument {
     Generate,
     Intersect,
     Shadow,
+    Learn,
     FirstHit,
 }
 
@@ -100,6 +107,7 @@ pub enum Stage {
     Shade(u32),
     Compact,
     Shadow,
+    Learn,
     Step,
     Megakernel,
     Resolve,
@@ -115,6 +123,9 @@ impl Stage {
         }
         if key.direct_light {
             stages.push(Stage::Shadow);
+        }
+        if key.guide.is_some() {
+            stages.push(Stage::Learn);
         }
         stages.extend([Stage::Intersect, Stage::PrepareShade]);
         if key.environment {
@@ -151,6 +162,7 @@ impl Stage {
             Stage::Shade(_) => "shade",
             Stage::Compact => "compact",
             Stage::Shadow => "shadow",
+            Stage::Learn => "learn",
             Stage::Step => "step",
             Stage::Megakernel => "megakernel",
             Stage::Resolve => "resolve",
@@ -172,6 +184,7 @@ impl Stage {
             Stage::Generate => Some(Argument::Generate as u32),
             Stage::Intersect | Stage::Compact | Stage::Step => Some(Argument::Intersect as u32),
             Stage::Shadow => Some(Argument::Shadow as u32),
+            Stage::Learn => Some(Argument::Learn as u32),
             Stage::Environment => Some(first_hit + key.hit_queues() - 1),
             Stage::Shade(kind) => Some(first_hit + key.hit_queue(kind)),
             _ => None,
@@ -184,6 +197,8 @@ impl Stage {
             ("in_place", schedule == Schedule::Compacted),
             ("pushes_hits", self == Stage::Intersect),
             ("pushes_shadows", matches!(self, Stage::Shade(_))),
+            ("pushes_transitions", scene.guide.is_some() && matches!(self, Stage::Shade(_))),
+            ("transition_queue", scene.guide.is_some() && schedule != Schedule::Fused),
             ("shadow_queue", scene.direct_light && schedule != Schedule::Fused),
         ]
     }
@@ -203,6 +218,7 @@ impl Stage {
         define("ARGUMENT_GENERATE", Argument::Generate as u32);
         define("ARGUMENT_INTERSECT", Argument::Intersect as u32);
         define("ARGUMENT_SHADOW", Argument::Shadow as u32);
+        define("ARGUMENT_LEARN", Argument::Learn as u32);
         define("FIRST_HIT_ARGUMENT", Argument::FirstHit as u32);
         let lengths = scene.small_scene.unwrap_or_default();
         for (name, length) in ["SPHERES", "QUADS", "MATERIALS", "LIGHTS"].iter().zip(lengths) {
