@@ -54,6 +54,8 @@ impl Field {
 pub trait GpuStruct: bytemuck::Pod {
     const NAME: &'static str;
     const FIELDS: &'static [Field];
+    /// Rows of four words that it takes, if it consists of whole ones.
+    const ROWS: usize = size_of::<Self>() / 16;
 
     /// The declaration for the kernels.
     fn wgsl() -> String {
@@ -62,12 +64,13 @@ pub trait GpuStruct: bytemuck::Pod {
         format!("struct {} {{\n{fields}}}\n", Self::NAME)
     }
 
-    /// Functions between the struct and rows of four words, for structs that consist of whole rows. Queues hold each
-    /// row in a plane of its own, so that a workgroup's accesses are contiguous: as an array of structs, every 4-byte
-    /// store touches a sector of its own, which made the fused schedule 2.2 times slower on an H100.
+    /// Functions between the struct and rows of four words, for structs that consist of whole rows. Large scenes are such
+    /// rows (scene/rows.rs). Queues hold each row in a plane of its own, so that a workgroup's accesses are contiguous: as
+    /// an array of structs, every 4-byte store touches a sector of its own, which made the fused schedule 2.2 times slower
+    /// on an H100.
     fn wgsl_rows() -> String {
         let name = Self::NAME;
-        let rows: Vec<Vec<&Field>> = (0..size_of::<Self>() / 16)
+        let rows: Vec<Vec<&Field>> = (0..Self::ROWS)
             .map(|row| Self::FIELDS.iter().filter(|f| f.offset / 16 == row).collect())
             .collect();
         let mut text = String::new();

@@ -10,6 +10,7 @@ use crate::gpu::link::link;
 use crate::gpu::stage::{GRID_WIDTH, Schedule, Stage, WORKGROUP};
 use crate::guiding::{GuideTable, GuideUniforms, LessonLayout, Lessons};
 use crate::scene::compiled::{CompiledScene, Uniforms};
+use crate::scene::rows;
 use std::collections::HashMap;
 use std::time::Instant;
 use wgpu::BufferUsages;
@@ -97,14 +98,10 @@ impl GpuFilm {
     }
 
     fn upload_scene(&mut self, scene: &CompiledScene) -> Result<(), RenderError> {
-        let arrays: [(&str, Vec<u8>); 4] = [
-            ("spheres", bytes_of(&scene.spheres)),
-            ("quads", bytes_of(&scene.quads)),
-            ("materials", bytes_of(&scene.materials)),
-            ("lights", bytes_of(&scene.lights)),
-        ];
-        let small = self.key.small_scene.is_some();
-        let usage = if small { BufferUsages::UNIFORM } else { BufferUsages::STORAGE };
+        let (arrays, usage) = match self.key.small_scene {
+            Some(_) => (arrays_of(scene), BufferUsages::UNIFORM),
+            None => (vec![("scene_rows", bytes_of(&rows::pack(scene)))], BufferUsages::STORAGE),
+        };
         for (name, data) in arrays {
             if self.is_bound(name) {
                 self.buffers.upload(&self.gpu, name, &data, usage)?;
@@ -265,6 +262,16 @@ impl GpuFilm {
         self.stats.paths += u64::from(batch.paths());
         Ok(())
     }
+}
+
+/// The arrays of a small scene, by the names of their buffers.
+fn arrays_of(scene: &CompiledScene) -> Vec<(&'static str, Vec<u8>)> {
+    vec![
+        ("spheres", bytes_of(&scene.spheres)),
+        ("quads", bytes_of(&scene.quads)),
+        ("materials", bytes_of(&scene.materials)),
+        ("lights", bytes_of(&scene.lights)),
+    ]
 }
 
 /// The bytes of `items`, or of one zeroed item: no binding may be empty.

@@ -69,9 +69,13 @@ fn item_declarations() -> String {
     [
         Uniforms::wgsl(),
         Sphere::wgsl(),
+        Sphere::wgsl_rows(),
         Quad::wgsl(),
+        Quad::wgsl_rows(),
         Material::wgsl(),
+        Material::wgsl_rows(),
         Light::wgsl(),
+        Light::wgsl_rows(),
         RayItem::wgsl(),
         RayItem::wgsl_rows(),
         HitItem::wgsl(),

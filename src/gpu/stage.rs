@@ -2,7 +2,9 @@
 //! (counters, queues, argument slots) that host and kernels share. docs/KERNELS.md tells the stages' contracts.
 
 use super::key::{KIND_NAMES, KernelKey};
-use crate::scene::compiled::KINDS;
+use crate::layout::GpuStruct;
+use crate::scene::compiled::{KINDS, Light, Material, Quad, Sphere};
+use crate::scene::rows::{QUAD_HOT_ROWS, SPHERE_HOT_ROWS};
 use std::fmt::Write;
 
 /// How the wavefront engine schedules a level of all paths in flight. All give the same image.
@@ -223,6 +225,16 @@ impl Stage {
         let lengths = scene.small_scene.unwrap_or_default();
         for (name, length) in ["SPHERES", "QUADS", "MATERIALS", "LIGHTS"].iter().zip(lengths) {
             define(name, length);
+        }
+        for (name, rows) in [
+            ("SPHERE_HOT_ROWS", SPHERE_HOT_ROWS),
+            ("SPHERE_REST_ROWS", Sphere::ROWS - SPHERE_HOT_ROWS),
+            ("QUAD_HOT_ROWS", QUAD_HOT_ROWS),
+            ("QUAD_REST_ROWS", Quad::ROWS - QUAD_HOT_ROWS),
+            ("MATERIAL_ROWS", Material::ROWS),
+            ("LIGHT_ROWS", Light::ROWS),
+        ] {
+            define(name, rows as u32);
         }
         define("HIT_QUEUES", scene.hit_queues());
         for (kind, name) in KIND_NAMES.iter().enumerate() {

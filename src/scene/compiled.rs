@@ -1,6 +1,6 @@
 //! The scene as the transport sees it: f32, flat arrays, lights with their table. GPU twin: kernels/scene/data.wesl
 
-use super::{Camera, Geometry, MaterialKind, Scene};
+use super::{Camera, Geometry, MaterialKind, Scene, rows};
 use crate::gpu_struct;
 use crate::sampling::AliasTable;
 use glam::{DVec3, Vec3};
@@ -45,11 +45,17 @@ gpu_struct! {
         sphere_count: u32,
         quad_count: u32,
         light_count: u32,
+        /// Where the parts of a large scene begin, in rows: scene/rows.rs. Those of the spheres lie first.
+        first_quad_row: u32,
+        first_sphere_rest_row: u32,
+        first_quad_rest_row: u32,
+        first_material_row: u32,
+        first_light_row: u32,
         /// Survival in roulette is this times what it would be.
         roulette_scale: f32,
         _pad1: u32,
-        _pad2: u32,
     }
+    /// What every ray reads comes first; rows.rs says where that ends.
     pub struct Sphere {
         center: Vec3,
         radius: f32,
@@ -60,22 +66,22 @@ gpu_struct! {
         /// 1 if the outer side is inside.
         inward: u32,
     }
-    /// The parallelogram corner + a·e1 + b·e2, a and b in 0..1.
+    /// The parallelogram corner + a·e1 + b·e2, a and b in 0..1. What every ray reads comes first, as in a sphere.
     pub struct Quad {
         corner: Vec3,
         material: u32,
-        e1: Vec3,
-        kind: u32,
-        e2: Vec3,
-        light: u32,
         /// e1 × e2, normalised.
         normal: Vec3,
         area: f32,
         /// dual1·(p − corner) = a for p in the plane.
         dual1: Vec3,
-        _pad0: u32,
+        kind: u32,
         /// dual2·(p − corner) = b.
         dual2: Vec3,
+        light: u32,
+        e1: Vec3,
+        _pad0: u32,
+        e2: Vec3,
         _pad1: u32,
     }
     pub struct Material {
@@ -203,6 +209,14 @@ impl CompiledScene {
         let right = forward.cross(camera.up).normalize();
         let half_height = (camera.fov_y_deg.to_radians() * 0.5).tan();
         let half_width = half_height * f64::from(width) / f64::from(height);
+        let [
+            _,
+            first_quad_row,
+            first_sphere_rest_row,
+            first_quad_rest_row,
+            first_material_row,
+            first_light_row,
+        ] = rows::first_rows(self);
         Uniforms {
             camera_origin: camera.origin.as_vec3(),
             seed,
@@ -215,6 +229,11 @@ impl CompiledScene {
             sphere_count: self.spheres.len() as u32,
             quad_count: self.quads.len() as u32,
             light_count: self.lights.len() as u32,
+            first_quad_row,
+            first_sphere_rest_row,
+            first_quad_rest_row,
+            first_material_row,
+            first_light_row,
             ..Default::default()
         }
     }

@@ -41,6 +41,7 @@ mod boxes;
 pub mod camera;
 mod coincidence;
 pub mod compiled;
+pub mod rows;
 pub mod shapes;
 
 mod builder;

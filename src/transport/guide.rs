@@ -35,6 +35,12 @@ pub struct GuidePoint {
     pub share: f32,
 }
 
+impl GuidePoint {
+    fn mixture_pdf(&self, cosine: f32, guided: f32) -> f32 {
+        self.share * ((1.0 - self.mixture) * cosine + self.mixture * guided)
+    }
+}
+
 impl Transport<'_> {
     /// What the guide knows here; None where it has no part: guiding is off, or the material has no Lambertian lobe.
     pub fn guide_point(&self, surface: &Surface, normal: Vec3, material: &Material) -> Option<GuidePoint> {
@@ -80,8 +86,22 @@ impl Transport<'_> {
         if point.mixture <= 0.0 {
             return point.share * cosine;
         }
-        let guided = self.guide_density(&guidance, point, normal, wi).pdf;
-        point.share * ((1.0 - point.mixture) * cosine + point.mixture * guided)
+        point.mixture_pdf(cosine, self.guide_density(&guidance, point, normal, wi).pdf)
+    }
+
+    /// The same, with the slot that learns what arrives from `wi`.
+    pub fn guided_density(&self, point: &GuidePoint, normal: Vec3, wi: Vec3) -> GuidedDensity {
+        match self.guidance {
+            Some(guidance) if point.place.cell != NO_CELL => {
+                let GuidedDensity { pdf, slot } = self.guide_density(&guidance, point, normal, wi);
+                let mixes = point.mixture > 0.0;
+                let cosine = pdf_cosine(normal.dot(wi));
+                let pdf =
+                    if mixes { point.mixture_pdf(cosine, pdf) } else { self.guided_pdf(point, normal, wi) };
+                GuidedDensity { pdf, slot }
+            }
+            _ => GuidedDensity { pdf: self.guided_pdf(point, normal, wi), slot: 0 },
+        }
     }
 
     /// A direction for the Lambertian lobe: the guide's or the material's. Its density is [`Transport::guided_pdf`].
@@ -130,16 +150,6 @@ impl Transport<'_> {
             wi = to_world(sample_cosine(u.xy()), normal);
         }
         wi
-    }
-
-    /// The slot that learns what arrives from `wi`.
-    pub fn guided_slot(&self, point: &GuidePoint, normal: Vec3, wi: Vec3) -> u32 {
-        match self.guidance {
-            Some(guidance) if point.place.cell != NO_CELL => {
-                self.guide_density(&guidance, point, normal, wi).slot
-            }
-            _ => 0,
-        }
     }
 
     /// Counts the visit of a path that leaves into the direction `scattered`, whose slot is `slot`, and gives the weight

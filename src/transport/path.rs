@@ -179,10 +179,11 @@ impl Transport<'_> {
             return (bsdf_sample(material, normal, -ray.direction, outside, u.xyz()), None);
         };
         let wi = self.guided_direction(point, normal, u.xy(), key, ray.bounce);
-        let pdf = self.guided_pdf(point, normal, wi);
+        let density = self.guided_density(point, normal, wi);
+        let pdf = density.pdf;
         let lobe = point.share * pdf_cosine(normal.dot(wi));
         let weight = if pdf > 0.0 { material.color * (lobe / pdf) } else { Vec3::ZERO };
-        (BsdfSample { wi, weight, pdf }, Some(self.guided_slot(point, normal, wi)))
+        (BsdfSample { wi, weight, pdf }, Some(density.slot))
     }
 
     /// Everything that happens where a ray meets a surface.

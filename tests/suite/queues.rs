@@ -16,6 +16,7 @@ use qtracer::gpu::stage::{
     Argument, Counter, GRID_WIDTH, Schedule, Stage, WORKGROUP, argument_words, counter_words,
 };
 use qtracer::scene::compiled::{CompiledScene, NONE, Uniforms};
+use qtracer::scene::rows;
 use qtracer::scene::shapes::{Ray, intersect, shape_info};
 use qtracer::transport::items::{HitItem, RayItem};
 use std::collections::BTreeSet;
@@ -252,7 +253,9 @@ fn a_push_past_capacity_sets_the_overflow_bit_and_writes_nothing_beyond() {
 /// but for rays within rounding of an edge.
 #[test]
 fn intersection_pushes_every_ray_to_exactly_one_queue() {
-    for name in ["bansal-room-1", "cornell-box", "glossy-box", "furnace-open-half"] {
+    for name in
+        ["bansal-room-1", "cornell-box", "glossy-box", "furnace-open-half", "door-ajar", "many-lights"]
+    {
         let compiled = CompiledScene::new(&scene(name));
         let harness = Harness::new(Stage::Intersect, &compiled, Schedule::Streamed);
         let camera = scene(name).camera;
@@ -277,11 +280,15 @@ fn intersection_pushes_every_ray_to_exactly_one_queue() {
             ("rays_in", bytemuck::cast_slice(&rays_in)),
             ("hits", bytemuck::cast_slice(&hits)),
         ];
-        if !compiled.spheres.is_empty() {
-            contents.push(("spheres", bytemuck::cast_slice(&compiled.spheres)));
-        }
-        if !compiled.quads.is_empty() {
-            contents.push(("quads", bytemuck::cast_slice(&compiled.quads)));
+        let rows = rows::pack(&compiled);
+        if harness.key.small_scene.is_none() {
+            contents.push(("scene_rows", bytemuck::cast_slice(&rows)));
+        } else {
+            let shapes: [(&str, &[u8]); 2] = [
+                ("spheres", bytemuck::cast_slice(&compiled.spheres)),
+                ("quads", bytemuck::cast_slice(&compiled.quads)),
+            ];
+            contents.extend(shapes.into_iter().filter(|(_, bytes)| !bytes.is_empty()));
         }
         let read = harness.run(uniforms, &contents, 3000u32.div_ceil(WORKGROUP), &["counters", "hits"]);
         let (counters, hits) = (words(&read[0]), words(&read[1]));
