@@ -22,8 +22,12 @@ use std::time::Instant;
 struct Arguments {
     #[arg(long)]
     scene: String,
+    /// Converged image of the same size; without it, seeds are compared with each other.
     #[arg(long)]
-    reference: String,
+    reference: Option<String>,
+    /// Width and height.
+    #[arg(long, num_args = 2, default_values_t = [640, 480])]
+    size: Vec<u32>,
     #[arg(long, required = true, num_args = 1..)]
     variant: Vec<String>,
     /// Check points of one render, in seconds.
@@ -62,7 +66,12 @@ struct Arguments {
 struct Point {
     seconds: f64,
     samples: u32,
-    relative_mse: f64,
+    image: Image,
+}
+
+/// relMSE of an image, all pixels and without the worst 0.1 %.
+struct Noise {
+    plain: f64,
     trimmed: f64,
 }
 
@@ -118,7 +127,6 @@ fn render(
     arguments: &Arguments,
     scene: &Scene,
     options: RenderOptions,
-    reference: &Image,
 ) -> Result<Vec<Point>, Box<dyn Error>> {
     let mut renderer = Renderer::new(scene, options)?;
     let mut points = Vec::new();
@@ -142,14 +150,7 @@ fn render(
             renderer.samples() >= arguments.spp[points.len()]
         };
         if reached {
-            let image = renderer.image();
-            let error = relative_mse(&image.view(), &reference.view(), arguments.epsilon)?;
-            points.push(Point {
-                seconds: elapsed,
-                samples: renderer.samples(),
-                relative_mse: error.plain,
-                trimmed: error.trimmed,
-            });
+            points.push(Point { seconds: elapsed, samples: renderer.samples(), image: renderer.image() });
         }
     }
     Ok(points)
@@ -162,53 +163,147 @@ fn mean_and_spread(values: &[f64]) -> (f64, f64) {
     (mean, variance.sqrt())
 }
 
+/// The mean of images of equal size.
+fn mean_image(images: &[&Image]) -> Image {
+    let mut mean = Image::new(images[0].width, images[0].height, vec![[0.0; 3]; images[0].rgb.len()]);
+    for image in images {
+        for (sum, rgb) in mean.rgb.iter_mut().zip(&image.rgb) {
+            (0..3).for_each(|c| sum[c] += rgb[c] / images.len() as f32);
+        }
+    }
+    mean
+}
+
+/// What the errors of runs are measured against.
+enum Truth<'a> {
+    /// A converged image and what its own noise adds to a relMSE.
+    Reference { image: &'a Image, noise: f64 },
+    /// Each other, since all of them estimate the same: the variance, by squares relative to this image.
+    Seeds { scale: &'a Image },
+}
+
+impl Truth<'_> {
+    /// The noise of the images of one variant at one check point.
+    fn noise(&self, images: &[&Image], epsilon: f64) -> Result<Vec<Noise>, Box<dyn Error>> {
+        match self {
+            Truth::Reference { image, noise } => images
+                .iter()
+                .map(|i| {
+                    let error = relative_mse(&i.view(), &image.view(), epsilon)?;
+                    Ok(Noise { plain: error.plain - noise, trimmed: error.trimmed - noise })
+                })
+                .collect(),
+            Truth::Seeds { scale } => {
+                let mean = mean_image(images);
+                let n = images.len() as f64;
+                Ok(images.iter().map(|i| scatter(i, &mean, scale, epsilon, n / (n - 1.0))).collect())
+            }
+        }
+    }
+}
+
+/// Mean of factor · (image − mean)² / (scale² + epsilon).
+fn scatter(image: &Image, mean: &Image, scale: &Image, epsilon: f64, factor: f64) -> Noise {
+    let mut errors: Vec<f64> = (0..image.rgb.len())
+        .map(|i| {
+            let relative = |c: usize| {
+                let [v, m, s] = [image.rgb[i][c], mean.rgb[i][c], scale.rgb[i][c]].map(f64::from);
+                (v - m).powi(2) / (s * s + epsilon)
+            };
+            factor * (0..3).map(relative).sum::<f64>() / 3.0
+        })
+        .collect();
+    let average = |errors: &[f64]| errors.iter().sum::<f64>() / errors.len() as f64;
+    let plain = average(&errors);
+    errors.sort_by(f64::total_cmp);
+    Noise { plain, trimmed: average(&errors[..errors.len() - errors.len() / 1000]) }
+}
+
+/// What a reference's standard errors add to a relMSE against it.
+fn reference_noise(reference: &Image, epsilon: f64) -> f64 {
+    reference.standard_error.as_ref().map_or(0.0, |errors| {
+        let pairs = errors.iter().flatten().zip(reference.rgb.iter().flatten());
+        let sum: f64 = pairs.map(|(&e, &r)| f64::from(e).powi(2) / (f64::from(r).powi(2) + epsilon)).sum();
+        sum / (3 * errors.len()) as f64
+    })
+}
+
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments = Arguments::parse();
     let scene = Scene::load(&arguments.scene)?;
-    let reference = read_image(std::path::Path::new(&arguments.reference))?;
-    let size = (reference.width, reference.height);
-    let noise = reference.standard_error.as_ref().map_or(0.0, |errors| {
-        let pairs = errors.iter().flatten().zip(reference.rgb.iter().flatten());
-        let sum: f64 =
-            pairs.map(|(&e, &r)| f64::from(e).powi(2) / (f64::from(r).powi(2) + arguments.epsilon)).sum();
-        sum / (3 * errors.len()) as f64
-    });
-    println!("| variant | check | samples | seconds | relMSE | spread | trimmed | 1/(relMSE·s) | trimmed |");
-    println!("|---|---|---|---|---|---|---|---|---|");
+    let reference = arguments.reference.as_ref().map(|path| read_image(path.as_ref())).transpose()?;
+    if reference.is_none() && arguments.seeds < 2 {
+        return Err("without --reference, give at least 2 --seeds".into());
+    }
+    let size = reference
+        .as_ref()
+        .map_or((arguments.size[0], arguments.size[1]), |reference| (reference.width, reference.height));
+    let mut runs: Vec<Vec<Vec<Point>>> = Vec::new();
     for variant in &arguments.variant {
-        let mut runs = Vec::new();
-        for seed in 0..arguments.seeds {
-            runs.push(render(&arguments, &scene, options(&arguments, variant, seed + 1, size)?, &reference)?);
-        }
+        let seeds = 1..=arguments.seeds;
+        let variant: Result<_, Box<dyn Error>> =
+            seeds.map(|seed| render(&arguments, &scene, options(&arguments, variant, seed, size)?)).collect();
+        runs.push(variant?);
+    }
+    let last: Vec<&Image> =
+        runs.iter().flatten().filter_map(|run| run.last().map(|point| &point.image)).collect();
+    let scale = mean_image(&last);
+    let truth = match &reference {
+        Some(image) => Truth::Reference { image, noise: reference_noise(image, arguments.epsilon) },
+        None => Truth::Seeds { scale: &scale },
+    };
+    report(&arguments, &scene, &runs, &truth)
+}
+
+fn report(
+    arguments: &Arguments,
+    scene: &Scene,
+    runs: &[Vec<Vec<Point>>],
+    truth: &Truth,
+) -> Result<(), Box<dyn Error>> {
+    println!(
+        "| {} | check | samples | seconds | relMSE | spread | trimmed | 1/(relMSE·s) | trimmed |",
+        scene.name
+    );
+    println!("|---|---|---|---|---|---|---|---|---|");
+    for (variant, runs) in arguments.variant.iter().zip(runs) {
         for check in 0..runs[0].len() {
-            let column =
-                |f: &dyn Fn(&Point) -> f64| -> Vec<f64> { runs.iter().map(|run| f(&run[check])).collect() };
-            let (error, spread) = mean_and_spread(&column(&|p| p.relative_mse - noise));
-            let (trimmed, _) = mean_and_spread(&column(&|p| p.trimmed - noise));
-            let (seconds, _) = mean_and_spread(&column(&|p| p.seconds));
-            let (samples, _) = mean_and_spread(&column(&|p| f64::from(p.samples)));
+            let images: Vec<&Image> = runs.iter().map(|run| &run[check].image).collect();
+            let noise = truth.noise(&images, arguments.epsilon)?;
+            let points: Vec<&Point> = runs.iter().map(|run| &run[check]).collect();
+            let mean = |values: Vec<f64>| mean_and_spread(&values).0;
+            let (error, spread) = mean_and_spread(&noise.iter().map(|n| n.plain).collect::<Vec<_>>());
+            let trimmed = mean(noise.iter().map(|n| n.trimmed).collect());
+            let seconds = mean(points.iter().map(|p| p.seconds).collect());
+            let samples = mean(points.iter().map(|p| f64::from(p.samples)).collect());
             println!(
-                "| {variant} | {check} | {samples:.0} | {seconds:.3} | {error:.5} | {spread:.5} | {trimmed:.5} | {:.2} | {:.2} |",
+                "| {variant} | {check} | {samples:.0} | {seconds:.3} | {error:.6} | {spread:.6} | {trimmed:.6} | {:.2} | {:.2} |",
                 1.0 / (error * seconds),
                 1.0 / (trimmed * seconds)
             );
+            write_rows(arguments, scene, variant, &points, &noise)?;
         }
-        if let Some(path) = &arguments.json {
-            let mut file = std::fs::OpenOptions::new().create(true).append(true).open(path)?;
-            for (seed, run) in runs.iter().enumerate() {
-                for point in run {
-                    writeln!(
-                        file,
-                        "{}",
-                        json!({
-                            "scene": scene.name, "variant": variant, "seed": seed + 1, "engine": arguments.engine,
-                            "direct_light": arguments.direct_light, "seconds": point.seconds, "samples": point.samples,
-                            "relative_mse": point.relative_mse, "trimmed": point.trimmed, "reference_noise": noise,
-                        })
-                    )?;
-                }
-            }
-        }
+    }
+    Ok(())
+}
+
+/// A JSON line per seed.
+fn write_rows(
+    arguments: &Arguments,
+    scene: &Scene,
+    variant: &str,
+    points: &[&Point],
+    noise: &[Noise],
+) -> Result<(), Box<dyn Error>> {
+    let Some(path) = &arguments.json else { return Ok(()) };
+    let mut file = std::fs::OpenOptions::new().create(true).append(true).open(path)?;
+    for (seed, (point, noise)) in points.iter().zip(noise).enumerate() {
+        let row = json!({
+            "scene": scene.name, "variant": variant, "seed": seed + 1, "engine": arguments.engine,
+            "direct_light": arguments.direct_light, "epsilon": arguments.epsilon, "seconds": point.seconds,
+            "samples": point.samples, "relative_mse": noise.plain, "trimmed": noise.trimmed,
+        });
+        writeln!(file, "{row}")?;
     }
     Ok(())
 }

@@ -3,7 +3,7 @@
 
 use super::{Engine, Estimators, RenderError, RenderOptions};
 use crate::accel::ShapeLanes;
-use crate::film::{CombinedFilm, Film, Image, luminance};
+use crate::film::{CombinedFilm, Film, Image, rough_luminances};
 use crate::guiding::{GuideMode, GuideOptions, GuideTable, Learner, LessonLayout, LessonSums};
 use crate::math::luminance as luminance_of;
 use crate::scene::compiled::{CompiledScene, Uniforms};
@@ -18,8 +18,6 @@ const FIRST_PASS: u32 = 2;
 const PILOT_PATHS: u32 = 4096;
 /// Samples that an estimate of a pixel's luminance should rest on, its neighbours' included.
 const ESTIMATE_SAMPLES: f64 = 512.0;
-/// Least estimate of a pixel, relative to the image's mean.
-const DARKEST: f64 = 1e-3;
 
 /// What a guided render keeps besides the film.
 pub struct Guided {
@@ -27,10 +25,8 @@ pub struct Guided {
     /// Samples of each pixel after which the pass ends; `u32::MAX` for the last.
     pass_end: u32,
     learning_samples: u32,
-    /// The film as it was when the pass began.
-    before: Film,
+    pass_begin: u32,
     combined: CombinedFilm,
-    estimates: Vec<f32>,
     first_sample: u32,
 }
 
@@ -59,9 +55,8 @@ impl Guided {
             learner,
             pass_end: FIRST_PASS,
             learning_samples: guide.learning_samples,
-            before: Film::new(uniforms.width, uniforms.height),
-            combined: CombinedFilm::default(),
-            estimates,
+            pass_begin: 0,
+            combined: CombinedFilm::new(&Film::new(uniforms.width, uniforms.height)),
             first_sample: options.first_sample,
         }))
     }
@@ -81,56 +76,50 @@ impl Guided {
         if samples < self.pass_end {
             return Ok(());
         }
-        let pass = film.since(&self.before);
-        self.estimates = estimates(film);
-        self.combined.add(&pass, &self.estimates);
-        self.before = film.clone();
-        self.learner.learn(&engine.take_lessons()?, pass.samples().0 as u32);
+        let t0 = std::time::Instant::now();
+        let estimates = rough_luminances(film, ESTIMATE_SAMPLES);
+        let t1 = std::time::Instant::now();
+        self.combined.end_pass(film, &estimates);
+        let t2 = std::time::Instant::now();
+        let lessons = engine.take_lessons()?;
+        let t3 = std::time::Instant::now();
+        self.learner.learn(&lessons, samples - self.pass_begin);
+        let t4 = std::time::Instant::now();
         let learning = self.pass_end < self.learning_samples;
+        self.pass_begin = samples;
         self.pass_end = if learning { self.pass_end.saturating_mul(2) } else { u32::MAX };
-        engine.set_guide(self.learner.table(learning, &self.estimates))
+        let table = self.learner.table(learning, &estimates);
+        let t5 = std::time::Instant::now();
+        let n = table.rows.len();
+        engine.set_guide(table)?;
+        let t6 = std::time::Instant::now();
+        if std::env::var("QT_TRACE").is_ok() {
+            let ms = |a: std::time::Instant, b: std::time::Instant| (b - a).as_secs_f64() * 1e3;
+            eprintln!(
+                "pass to {} est {:.1} comb {:.1} take {:.1} learn {:.1} table {:.1} set {:.1} ms; cells {} nodes {} rows {n} gpu {:.3}",
+                samples,
+                ms(t0, t1),
+                ms(t1, t2),
+                ms(t2, t3),
+                ms(t3, t4),
+                ms(t4, t5),
+                ms(t5, t6),
+                self.learner.cells(),
+                self.learner.nodes(),
+                engine.stats().gpu_seconds
+            );
+        }
+        Ok(())
     }
 
     /// `image` made of all passes by their weights.
     pub fn combine(&self, film: &Film, image: Image) -> Image {
-        let mut combined = self.combined.clone();
-        let pass = film.since(&self.before);
-        if pass.samples().1 > 0 {
-            combined.add(&pass, &estimates(film));
-        }
-        combined.put_into(image)
+        self.combined.put_into(image, film, &rough_luminances(film, ESTIMATE_SAMPLES))
     }
 
     pub fn learner(&self) -> &Learner {
         &self.learner
     }
-}
-
-/// Mean luminance around each pixel, over as many neighbours as it takes to trust it.
-fn estimates(film: &Film) -> Vec<f32> {
-    let (width, height) = (film.width() as usize, film.height() as usize);
-    let samples = film.samples().0.max(1) as f64;
-    let radius = (((ESTIMATE_SAMPLES / samples).sqrt() - 1.0) / 2.0).ceil().clamp(0.0, 16.0) as usize;
-    let mut table = vec![0.0f64; (width + 1) * (height + 1)];
-    for y in 0..height {
-        let mut row = 0.0;
-        for x in 0..width {
-            row += luminance(film.pixels()[y * width + x].mean());
-            table[(y + 1) * (width + 1) + x + 1] = table[y * (width + 1) + x + 1] + row;
-        }
-    }
-    let darkest = DARKEST * table[table.len() - 1] / (width * height) as f64;
-    let mut estimates = vec![0.0; width * height];
-    estimates.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
-        let (top, bottom) = (y.saturating_sub(radius), (y + radius + 1).min(height));
-        for (x, estimate) in row.iter_mut().enumerate() {
-            let (left, right) = (x.saturating_sub(radius), (x + radius + 1).min(width));
-            let at = |y: usize, x: usize| table[y * (width + 1) + x];
-            let sum = at(bottom, right) - at(top, right) - at(bottom, left) + at(top, left);
-            *estimate = (sum / ((bottom - top) * (right - left)) as f64).max(darkest) as f32;
-        }
-    });
-    estimates
 }
 
 /// Traces a few paths on the CPU, the same whatever the engine: the learner's grid covers the surface points that they

@@ -44,6 +44,16 @@ impl PixelSum {
         self.count += other.count;
     }
 
+    /// What was added since `earlier`, a copy of this pixel.
+    pub fn since(&self, earlier: &PixelSum) -> PixelSum {
+        let less = |a: [f64; 3], b: [f64; 3]| [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+        PixelSum {
+            sum: less(self.sum, earlier.sum),
+            sum_sq: less(self.sum_sq, earlier.sum_sq),
+            count: self.count - earlier.count,
+        }
+    }
+
     /// Mean of the samples; 0 without any.
     pub fn mean(&self) -> [f64; 3] {
         let count = self.count.max(1) as f64;
@@ -137,21 +147,6 @@ impl Film {
                 .zip(sums)
                 .for_each(|(pixel, sum)| pixel.add_block(sum, samples));
         }
-    }
-
-    /// What was added since `earlier`, a copy of this film.
-    pub fn since(&self, earlier: &Film) -> Film {
-        let mut film = self.clone();
-        film.pixels.par_iter_mut().with_min_len(PARALLEL_PIXELS / 4).zip(&earlier.pixels).for_each(
-            |(a, b)| {
-                for channel in 0..3 {
-                    a.sum[channel] -= b.sum[channel];
-                    a.sum_sq[channel] -= b.sum_sq[channel];
-                }
-                a.count -= b.count;
-            },
-        );
-        film
     }
 
     /// Adds another film of the same size.

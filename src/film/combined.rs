@@ -1,13 +1,20 @@
 //! Passes of different noise put together: each is unbiased, so any weights that do not depend on its own noise keep the
 //! mean right, and the inverse of its variance makes the sum least noisy.
 
-use super::{Film, Image};
+use super::{Film, Image, PixelSum, luminance};
 use rayon::prelude::*;
 
-/// Per pixel: weighted means of passes.
+/// Samples of each pixel that a pass needs for its noise to be judged by.
+const JUDGED_SAMPLES: u64 = 2;
+
+/// Per pixel: weighted means of passes, cut from a film that only grows.
 #[derive(Clone, Debug, Default)]
 pub struct CombinedFilm {
     pixels: Vec<CombinedPixel>,
+    /// The film as it was when the last pass ended.
+    before: Vec<PixelSum>,
+    /// Variance of a single sample in the last pass, for each colour of the checkerboard.
+    variance: [f64; 2],
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -20,62 +27,156 @@ struct CombinedPixel {
 }
 
 impl CombinedFilm {
-    /// Adds a finished pass, or one on its way. `estimates` are rough luminances of the pixels, to judge errors by.
+    pub fn new(film: &Film) -> CombinedFilm {
+        CombinedFilm {
+            pixels: vec![CombinedPixel::default(); film.pixels().len()],
+            before: film.pixels().to_vec(),
+            variance: [1.0; 2],
+        }
+    }
+
+    /// Ends a pass: what `film` got since the last one. `estimates` are rough luminances of the pixels, to judge errors by.
     ///
     /// A pixel's weight is the inverse of the pass's mean relative variance, estimated from the pixels of the other colour
     /// of a checkerboard: those are independent of the pixel's own noise, so the estimate does not bias it.
-    pub fn add(&mut self, pass: &Film, estimates: &[f32]) {
-        let width = pass.width() as usize;
-        self.pixels.resize(pass.pixels().len(), CombinedPixel::default());
-        let weights = [0, 1].map(|colour| 1.0 / relative_variance(pass, estimates, colour).max(1e-12));
-        self.pixels.par_iter_mut().with_min_len(1 << 12).zip(pass.pixels()).enumerate().for_each(
-            |(i, (combined, pixel))| {
-                if pixel.count == 0 {
-                    return;
-                }
-                let weight = weights[1 - (i % width + i / width) % 2] * pixel.count as f64;
-                let (mean, error) = (pixel.mean(), pixel.standard_error());
-                for channel in 0..3 {
-                    combined.mean[channel] += weight * mean[channel];
-                    combined.variance[channel] += (weight * error[channel]).powi(2);
-                }
-                combined.weight += weight;
-            },
-        );
+    pub fn end_pass(&mut self, film: &Film, estimates: &[f32]) {
+        let width = film.width() as usize;
+        self.judge(film, estimates);
+        let variance = self.variance;
+        let rows = self.pixels.par_chunks_mut(width).zip(self.before.par_chunks_mut(width));
+        rows.zip(film.pixels().par_chunks(width)).enumerate().for_each(|(y, ((pixels, before), now))| {
+            for (x, ((pixel, before), now)) in pixels.iter_mut().zip(before).zip(now).enumerate() {
+                pixel.add(&now.since(before), variance[1 - colour(x, y)]);
+                *before = *now;
+            }
+        });
     }
 
-    /// Mean radiance per pixel, 0 where there is none.
-    pub fn mean(&self) -> Vec<[f32; 3]> {
-        self.map(|pixel| pixel.mean.map(|v| (v / pixel.weight) as f32))
+    /// The variance of the pass on its way; that of the last pass stands in while there are too few samples to tell.
+    fn judge(&mut self, film: &Film, estimates: &[f32]) {
+        let passed = |(now, before): (&PixelSum, &PixelSum)| now.count - before.count;
+        if film.pixels().iter().zip(&self.before).next().map_or(0, passed) >= JUDGED_SAMPLES {
+            let variance = relative_variance(film.pixels(), &self.before, estimates, film.width() as usize);
+            self.variance = [0, 1].map(|c| if variance[c] > 0.0 { variance[c] } else { self.variance[c] });
+        }
     }
 
-    /// Standard error of the mean per pixel.
-    pub fn standard_error(&self) -> Vec<[f32; 3]> {
-        self.map(|pixel| pixel.variance.map(|v| (v.sqrt() / pixel.weight) as f32))
+    /// Whether any pixel got samples since the last pass ended.
+    fn has_news(&self, film: &Film) -> bool {
+        film.pixels().iter().zip(&self.before).any(|(now, before)| now.count > before.count)
     }
 
-    fn map(&self, value: impl Fn(&CombinedPixel) -> [f32; 3] + Sync) -> Vec<[f32; 3]> {
-        let value = |pixel: &CombinedPixel| if pixel.weight > 0.0 { value(pixel) } else { [0.0; 3] };
-        self.pixels.par_iter().with_min_len(1 << 12).map(value).collect()
-    }
-
-    /// `image` with the combined mean and its standard error.
-    pub fn put_into(&self, image: Image) -> Image {
-        Image { rgb: self.mean(), standard_error: Some(self.standard_error()), ..image }
+    /// `image` with the mean of all passes, the one on its way included, and its standard error.
+    pub fn put_into(&self, image: Image, film: &Film, estimates: &[f32]) -> Image {
+        let mut all = self.clone();
+        if self.has_news(film) {
+            all.end_pass(film, estimates);
+        }
+        let map = |value: fn(&CombinedPixel) -> [f64; 3]| -> Vec<[f32; 3]> {
+            all.pixels.par_iter().with_min_len(1 << 12).map(|p| value(p).map(|v| v as f32)).collect()
+        };
+        Image {
+            rgb: map(CombinedPixel::combined_mean),
+            standard_error: Some(map(CombinedPixel::standard_error)),
+            ..image
+        }
     }
 }
 
-/// Mean over the pixels of one colour of a checkerboard: variance of a sample / estimated luminance².
-pub fn relative_variance(pass: &Film, estimates: &[f32], colour: usize) -> f64 {
-    let width = pass.width() as usize;
-    let (mut sum, mut count) = (0.0, 0u64);
-    for (i, (pixel, &estimate)) in pass.pixels().iter().zip(estimates).enumerate() {
-        if (i % width + i / width) % 2 != colour || pixel.count < 2 || estimate <= 0.0 {
-            continue;
+impl CombinedPixel {
+    /// Adds what a pass found, whose single samples have about that `variance`.
+    fn add(&mut self, pass: &PixelSum, variance: f64) {
+        // A single sample says nothing of its error: it waits for a second, unless it is all there is.
+        if pass.count == 0 || pass.count < JUDGED_SAMPLES && self.weight > 0.0 {
+            return;
         }
-        let variance: f64 = pixel.standard_error().iter().map(|e| e * e).sum();
-        sum += variance * pixel.count as f64 / (3.0 * f64::from(estimate).powi(2));
-        count += 1;
+        let weight = pass.count as f64 / variance;
+        let (mean, error) = (pass.mean(), pass.standard_error());
+        for channel in 0..3 {
+            self.mean[channel] += weight * mean[channel];
+            self.variance[channel] += (weight * error[channel]).powi(2);
+        }
+        self.weight += weight;
     }
-    sum / count.max(1) as f64
+
+    /// 0 where there are no samples.
+    fn combined_mean(&self) -> [f64; 3] {
+        if self.weight > 0.0 { self.mean.map(|v| v / self.weight) } else { [0.0; 3] }
+    }
+
+    /// Infinite (unknown) where there are no samples.
+    fn standard_error(&self) -> [f64; 3] {
+        if self.weight > 0.0 { self.variance.map(|v| v.sqrt() / self.weight) } else { [f64::INFINITY; 3] }
+    }
+}
+
+/// Which colour of the checkerboard a pixel has.
+fn colour(x: usize, y: usize) -> usize {
+    (x + y) % 2
+}
+
+/// For each colour of a checkerboard the mean over its pixels of (variance of a sample / estimated luminance²).
+/// Added up row by row, so that it does not depend on the number of threads.
+fn relative_variance(now: &[PixelSum], before: &[PixelSum], estimates: &[f32], width: usize) -> [f64; 2] {
+    let rows = now.par_chunks(width).zip(before.par_chunks(width)).zip(estimates.par_chunks(width));
+    let sums: Vec<[[f64; 2]; 2]> = rows
+        .enumerate()
+        .map(|(y, ((now, before), estimates))| {
+            let mut sums = [[0.0; 2]; 2];
+            for (x, ((now, before), &estimate)) in now.iter().zip(before).zip(estimates).enumerate() {
+                let pass = now.since(before);
+                if pass.count >= JUDGED_SAMPLES && estimate > 0.0 {
+                    let variance: f64 = pass.standard_error().iter().map(|e| e * e).sum();
+                    let [sum, count] = &mut sums[colour(x, y)];
+                    *sum += variance * pass.count as f64 / (3.0 * f64::from(estimate).powi(2));
+                    *count += 1.0;
+                }
+            }
+            sums
+        })
+        .collect();
+    [0, 1].map(|c| {
+        let sum: f64 = sums.iter().map(|row| row[c][0]).sum();
+        let count: f64 = sums.iter().map(|row| row[c][1]).sum();
+        sum / count.max(1.0)
+    })
+}
+
+/// Rough luminances of the pixels: the mean over a square around each, wide enough to hold `samples` samples.
+pub fn rough_luminances(film: &Film, samples: f64) -> Vec<f32> {
+    /// Least estimate, relative to the image's mean.
+    const DARKEST: f64 = 1e-3;
+    let (width, height) = (film.width() as usize, film.height() as usize);
+    let have = film.pixels().first().map_or(1, |p| p.count.max(1)) as f64;
+    let radius = (((samples / have).sqrt() - 1.0) / 2.0).ceil().clamp(0.0, 16.0) as usize;
+    // Sums over the window within each row, then over rows.
+    let rows: Vec<Vec<f64>> = film.pixels().par_chunks(width).map(|row| window_sums(row, radius)).collect();
+    let total: f64 = film
+        .pixels()
+        .par_chunks(width)
+        .map(|row| window_sums(row, 0).iter().sum::<f64>())
+        .collect::<Vec<_>>()
+        .iter()
+        .sum();
+    let darkest = DARKEST * total / (width * height) as f64;
+    let mut estimates = vec![0.0; width * height];
+    estimates.par_chunks_mut(width).enumerate().for_each(|(y, estimates)| {
+        let window = &rows[y.saturating_sub(radius)..(y + radius + 1).min(height)];
+        for (x, estimate) in estimates.iter_mut().enumerate() {
+            let columns = (x + radius + 1).min(width) - x.saturating_sub(radius);
+            let sum: f64 = window.iter().map(|row| row[x]).sum();
+            *estimate = (sum / (columns * window.len()) as f64).max(darkest) as f32;
+        }
+    });
+    estimates
+}
+
+/// For each pixel of a row the sum of the luminances of those at most `radius` away.
+fn window_sums(row: &[PixelSum], radius: usize) -> Vec<f64> {
+    let mut below = Vec::with_capacity(row.len() + 1);
+    below.push(0.0);
+    for pixel in row {
+        below.push(below[below.len() - 1] + luminance(pixel.mean()));
+    }
+    (0..row.len()).map(|x| below[(x + radius + 1).min(row.len())] - below[x.saturating_sub(radius)]).collect()
 }

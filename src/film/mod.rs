@@ -14,7 +14,7 @@ mod test_files;
 mod write;
 
 pub use accumulate::{BlockSum, Film, FilmError, PixelSum, luminance};
-pub use combined::CombinedFilm;
+pub use combined::{CombinedFilm, rough_luminances};
 pub use error::ImageError;
 pub use image::{Features, Image};
 pub use metadata::Metadata;

@@ -13,15 +13,18 @@ const BASE_CELLS: f32 = 16.0;
 /// Base cells along any side at most.
 const MOST_CELLS: f32 = 128.0;
 /// Share of a cell's irradiance above which a leaf is cut, and below which four are joined.
-const SPLIT_SHARE: f32 = 0.01;
+const SPLIT_SHARE: f32 = 0.005;
 /// Visits in one pass above which a cell is cut, for a pass of one sample per pixel; grows with the square root of the
 /// pass, so that cells grow finer and better known.
-const SPLIT_VISITS: f64 = 2000.0;
+const SPLIT_VISITS: f64 = 20000.0;
 /// Visits with which a cell's guide is trusted half.
 const TRUSTED_VISITS: f32 = 64.0;
 /// Fixed-point units per unit of radiance, as a power of two below the brightest emitter.
 const UNIT_BITS: i32 = 36;
 
+fn env(n: &str, d: f64) -> f64 {
+    std::env::var(n).ok().and_then(|v| v.parse().ok()).unwrap_or(d)
+}
 /// Why a learner can't be made or go on.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum LearnerError {
@@ -86,7 +89,11 @@ impl Learner {
         let bansal = options.mode.is_bansal();
         let (low, high) = if bansal { (Vec3::splat(-15.0), Vec3::splat(15.0)) } else { (low, high) };
         let extent = (high - low).max_element().max(1e-6);
-        let wanted = options.cell_size.unwrap_or(if bansal { 0.5 } else { extent / BASE_CELLS });
+        let wanted = options.cell_size.unwrap_or(if bansal {
+            0.5
+        } else {
+            extent / env("QT_BASE", BASE_CELLS as f64) as f32
+        });
         let size = wanted.max(extent / MOST_CELLS);
         let margin = if bansal { 0.0 } else { 0.03 * size };
         let cells = |extent: f32| ((extent + 2.0 * margin) / size).ceil().max(1.0) as u32;
@@ -169,7 +176,11 @@ impl Learner {
             .collect();
         self.make_cells(&lessons.missing);
         if self.options.mode == GuideMode::Adaptive {
-            self.cut_cells(lessons, &visits, SPLIT_VISITS * f64::from(samples.max(1)).sqrt());
+            self.cut_cells(
+                lessons,
+                &visits,
+                env("QT_SPLIT", SPLIT_VISITS) * f64::from(samples.max(1)).sqrt(),
+            );
         }
         self.passes += 1;
     }
@@ -243,7 +254,7 @@ impl Learner {
 /// How a cell lies in the table, its nodes starting at `first_node`.
 fn cell_rows(mode: GuideMode, cell: &CellState, first_node: u32) -> [[u32; 4]; CELL_ROWS as usize] {
     let irradiance: f32 = cell.octants.iter().sum();
-    let known = cell.visits[0] / (cell.visits[0] + TRUSTED_VISITS);
+    let known = cell.visits[0] / (cell.visits[0] + env("QT_TRUST", TRUSTED_VISITS as f64) as f32);
     let adaptive = mode == GuideMode::Adaptive;
     let octants = match adaptive && irradiance > 0.0 {
         true => cell.octants.map(|energy| energy / irradiance),
@@ -362,7 +373,7 @@ impl Pass<'_> {
 /// Cuts leaves that hold much of the cell's irradiance, one level at a time, and joins those that hold little.
 fn refine(cell: &mut CellState, depth: u32) {
     let total: f32 = cell.octants.iter().sum();
-    let limit = SPLIT_SHARE * total;
+    let limit = (env("QT_SHARE", SPLIT_SHARE as f64) as f32).max(env("QT_SUPPORT", 64.0) as f32 / cell.visits[0].max(1.0)) * total;
     let old = std::mem::take(&mut cell.nodes);
     /// A node to be emitted: the one that it was, or the energy of the leaf that it was.
     type Source = (Option<usize>, f32, u32);

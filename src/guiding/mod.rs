@@ -82,7 +82,7 @@ impl Default for GuideOptions {
             mode: GuideMode::Off,
             cell_size: None,
             depth: quadtree::MAX_DEPTH,
-            mixture: 0.5,
+            mixture: 0.7,
             alpha: None,
             discount: 0.8,
             threshold: 0.75,
