@@ -34,8 +34,8 @@ impl CpuEngine {
         CpuEngine { scene, lanes, uniforms, estimators, guide: None, stats }
     }
 
-    /// One pass: the samples `range` of every pixel, rows in parallel.
-    fn pass(&self, range: &Range<u32>, film: &mut Film, cancel: &CancelToken) {
+    /// One pass: the samples `range` of every pixel, rows in parallel. How many rays that took.
+    fn pass(&self, range: &Range<u32>, film: &mut Film, cancel: &CancelToken) -> u64 {
         let width = self.uniforms.width as usize;
         let uniforms = Uniforms {
             pixel_count: self.uniforms.width * self.uniforms.height,
@@ -56,17 +56,23 @@ impl CpuEngine {
                 sums,
             }),
         };
-        film.pixels_mut().par_chunks_mut(width).enumerate().for_each(|(row, pixels)| {
+        let rows = film.pixels_mut().par_chunks_mut(width).enumerate();
+        let rays = rows.map(|(row, pixels)| {
+            let mut rays = 0;
             if cancel.is_cancelled() {
-                return;
+                return rays;
             }
             for (column, pixel) in pixels.iter_mut().enumerate() {
                 for sample in 0..uniforms.sample_count {
                     let index = (row * width + column) as u32;
-                    pixel.add(transport.trace(sample * uniforms.pixel_count + index));
+                    let (radiance, traced) = transport.trace(sample * uniforms.pixel_count + index);
+                    pixel.add(radiance);
+                    rays += u64::from(traced);
                 }
             }
+            rays
         });
+        rays.sum()
     }
 }
 
@@ -92,7 +98,7 @@ impl Engine for CpuEngine {
         let mut sample = range.start;
         while sample < range.end && !cancel.is_cancelled() {
             let end = range.end.min(sample.saturating_add(longest));
-            self.pass(&(sample..end), film, cancel);
+            self.stats.rays += self.pass(&(sample..end), film, cancel);
             self.stats.paths += u64::from(pixels) * u64::from(end - sample);
             sample = end;
         }

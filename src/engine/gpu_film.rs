@@ -4,6 +4,7 @@ use super::{Batch, RenderError, RenderStats};
 use crate::film::{BlockSum, Film};
 use crate::gpu::buffers::Buffers;
 use crate::gpu::device::Gpu;
+use crate::gpu::error::GpuError;
 use crate::gpu::kernel::Kernel;
 use crate::gpu::key::KernelKey;
 use crate::gpu::link::link;
@@ -34,6 +35,9 @@ pub struct GpuFilm {
     pub max_paths: u32,
     resolve_bind: Option<wgpu::BindGroup>,
     clock: Clock,
+    /// Sums on their way to the host.
+    pending: Option<(Batch, Flight)>,
+    sums_staging: Option<wgpu::Buffer>,
     /// How the sums of what is learnt lie in their buffer.
     lessons: LessonLayout,
 }
@@ -41,6 +45,7 @@ pub struct GpuFilm {
 /// The GPU's own clock around each submission, where it has one.
 struct Clock {
     queries: Option<wgpu::QuerySet>,
+    ticks: Option<wgpu::Buffer>,
 }
 
 impl GpuFilm {
@@ -55,7 +60,7 @@ impl GpuFilm {
     ) -> Result<GpuFilm, RenderError> {
         let mut kernels = HashMap::new();
         for &stage in stages {
-            let wgsl = link(stage, &key, schedule).map_err(crate::gpu::error::GpuError::from)?;
+            let wgsl = link(stage, &key, schedule).map_err(GpuError::from)?;
             kernels.insert(stage, gpu.kernel(&stage.name(), &wgsl)?);
         }
         let pixels = u64::from(uniforms.width) * u64::from(uniforms.height);
@@ -86,6 +91,8 @@ impl GpuFilm {
             max_paths,
             resolve_bind: None,
             clock,
+            pending: None,
+            sums_staging: None,
             lessons: LessonLayout::default(),
         };
         film.upload_scene(scene)?;
@@ -201,13 +208,34 @@ impl GpuFilm {
         self.gpu.queue.write_buffer(self.buffers.get("uniforms"), 0, bytemuck::bytes_of(uniforms));
     }
 
-    /// Records one compute pass, submits it with a copy of `status` behind it, waits, and returns the status and the
-    /// seconds that it took on the GPU (by the host's clock where the GPU has none).
-    pub fn submit(
+    /// Records one compute pass and submits it with a copy of `status` behind it, without waiting: [`GpuFilm::land`] does.
+    pub fn launch(
         &mut self,
         status: Option<&str>,
         record: impl FnOnce(&GpuFilm, &mut wgpu::ComputePass),
-    ) -> Result<(Vec<u8>, f64), RenderError> {
+    ) -> Flight {
+        let copied = status.map(|name| self.buffers.get(name)).map(|buffer| (buffer.clone(), buffer.size()));
+        let bytes = copied.as_ref().map_or(0, |(_, bytes)| *bytes);
+        let staging = self.staging(bytes + TICK_BYTES);
+        self.launch_into(staging, copied, record)
+    }
+
+    /// A buffer that the host can read.
+    fn staging(&self, size: u64) -> wgpu::Buffer {
+        self.gpu.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("staging"),
+            size,
+            usage: BufferUsages::MAP_READ | BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        })
+    }
+
+    fn launch_into(
+        &mut self,
+        staging: wgpu::Buffer,
+        copied: Option<(wgpu::Buffer, u64)>,
+        record: impl FnOnce(&GpuFilm, &mut wgpu::ComputePass),
+    ) -> Flight {
         let start = Instant::now();
         let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
         {
@@ -217,51 +245,100 @@ impl GpuFilm {
             });
             record(self, &mut pass);
         }
-        let mut readback = Vec::new();
-        if let Some(name) = status {
-            let buffer = self.buffers.get(name);
-            readback.push((buffer, buffer.size()));
+        let mut bytes = 0;
+        if let Some((buffer, size)) = copied {
+            encoder.copy_buffer_to_buffer(&buffer, 0, &staging, 0, size);
+            bytes = size;
         }
-        let ticks = self.clock.resolve(&self.gpu, &mut encoder);
-        self.gpu.queue.submit([encoder.finish()]);
-        if let Some(ticks) = &ticks {
-            readback.push((ticks, ticks.size()));
-        }
-        let mut copies = self.gpu.read(&readback)?;
-        let seconds = match ticks.and_then(|_| copies.pop()) {
-            Some(bytes) => {
-                let ticks: &[u64] = bytemuck::cast_slice(&bytes);
+        self.clock.resolve(&mut encoder, &staging, bytes);
+        let submission = self.gpu.queue.submit([encoder.finish()]);
+        staging.map_async(wgpu::MapMode::Read, ..bytes + TICK_BYTES, |_| ());
+        self.stats.submissions += 1;
+        Flight { submission, staging, bytes, start }
+    }
+
+    /// Waits for a flight, hands what it copied to `receive`, and returns the seconds that it took on the GPU (by the host's
+    /// clock where the GPU has none).
+    pub fn land<T>(
+        &mut self,
+        flight: Flight,
+        receive: impl FnOnce(&[u8]) -> T,
+    ) -> Result<(T, f64), RenderError> {
+        self.gpu.wait_for(flight.submission)?;
+        let view = flight.staging.slice(..flight.bytes + TICK_BYTES).get_mapped_range();
+        let view = view.map_err(|e| GpuError::DeviceLost {
+            adapter: self.gpu.summary.name.clone(),
+            reason: e.to_string(),
+        })?;
+        let (copied, ticks) = view.split_at(flight.bytes as usize);
+        let seconds = match self.clock.queries.is_some() {
+            true => {
+                let ticks: [u64; 2] = bytemuck::pod_read_unaligned(ticks);
                 let period = f64::from(self.gpu.queue.get_timestamp_period());
                 ticks[1].saturating_sub(ticks[0]) as f64 * period * 1e-9
             }
-            None => start.elapsed().as_secs_f64(),
+            false => flight.start.elapsed().as_secs_f64(),
         };
-        self.stats.submissions += 1;
+        let received = receive(copied);
+        drop(view);
+        flight.staging.unmap();
         self.stats.gpu_seconds += seconds;
-        Ok((copies.pop().unwrap_or_default(), seconds))
+        Ok((received, seconds))
     }
 
-    /// Sums the batch's radiance per pixel and block, and adds the sums to the host's film.
-    pub fn resolve(&mut self, batch: &Batch, film: &mut Film) -> Result<(), RenderError> {
+    /// Sums the batch's radiance per pixel and block, and sends the sums on their way to the host, where
+    /// [`GpuFilm::receive_sums`] takes them: the GPU can trace the next batch meanwhile.
+    pub fn send_sums(&mut self, batch: &Batch) {
         let bind = self.resolve_bind.clone();
         let items = batch.pixel_count * batch.blocks();
-        let (bytes, _) = self.submit(Some("block_sums"), |this, pass| {
-            let kernel = &this.kernels[&Stage::Resolve];
-            pass.set_pipeline(&kernel.pipeline);
+        let bytes = u64::from(items) * size_of::<BlockSum>() as u64;
+        // Kept from batch to batch: a new one of tens of megabytes costs milliseconds of page faults.
+        let staging = match self.sums_staging.take() {
+            Some(staging) if staging.size() >= bytes + TICK_BYTES => staging,
+            _ => self.staging(bytes + TICK_BYTES),
+        };
+        let sums = self.buffers.get("block_sums").clone();
+        let flight = self.launch_into(staging, Some((sums, bytes)), |this, pass| {
+            pass.set_pipeline(&this.kernels[&Stage::Resolve].pipeline);
             pass.set_bind_group(0, bind.as_ref(), &[]);
             let [x, y] = grid(items);
             pass.dispatch_workgroups(x, y, 1);
+        });
+        self.pending = Some((*batch, flight));
+    }
+
+    /// Adds the sums that are on their way, if any, to the host's film.
+    pub fn receive_sums(&mut self, film: &mut Film) -> Result<(), RenderError> {
+        let Some((batch, flight)) = self.pending.take() else { return Ok(()) };
+        let staging = flight.staging.clone();
+        self.land(flight, |bytes| {
+            let size = batch.pixel_count as usize * size_of::<BlockSum>();
+            for (block, sums) in bytes.chunks(size).enumerate() {
+                let samples = batch.block_samples(block as u32);
+                film.add_block(batch.first_pixel as usize, samples, bytemuck::cast_slice(sums));
+            }
         })?;
-        let size = size_of::<BlockSum>();
-        for block in 0..batch.blocks() {
-            let begin = (block * batch.pixel_count) as usize * size;
-            let sums = &bytes[begin..begin + batch.pixel_count as usize * size];
-            let sums: Vec<BlockSum> = bytemuck::pod_collect_to_vec(sums);
-            film.add_block(batch.first_pixel as usize, batch.block_samples(block), &sums);
-        }
+        self.sums_staging = Some(staging);
         self.stats.paths += u64::from(batch.paths());
         Ok(())
     }
+
+    /// Forgets sums on their way: after a failure they may never come.
+    pub fn forget_sums(&mut self) {
+        self.pending = None;
+    }
+}
+
+/// Bytes of the two time stamps behind what a flight copies.
+const TICK_BYTES: u64 = 16;
+
+/// A submission on its way, and what it brings back.
+pub struct Flight {
+    submission: wgpu::SubmissionIndex,
+    staging: wgpu::Buffer,
+    /// Bytes copied, before the time stamps.
+    bytes: u64,
+    start: Instant,
 }
 
 /// The arrays of a small scene, by the names of their buffers.
@@ -288,7 +365,15 @@ impl Clock {
                 count: 2,
             })
         });
-        Clock { queries }
+        let ticks = gpu.summary.timestamps.then(|| {
+            gpu.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some("ticks"),
+                size: TICK_BYTES,
+                usage: BufferUsages::QUERY_RESOLVE | BufferUsages::COPY_SRC,
+                mapped_at_creation: false,
+            })
+        });
+        Clock { queries, ticks }
     }
 
     fn writes(&self) -> Option<wgpu::ComputePassTimestampWrites<'_>> {
@@ -299,16 +384,12 @@ impl Clock {
         })
     }
 
-    fn resolve(&self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder) -> Option<wgpu::Buffer> {
-        let queries = self.queries.as_ref()?;
-        let ticks = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("ticks"),
-            size: 16,
-            usage: BufferUsages::QUERY_RESOLVE | BufferUsages::COPY_SRC,
-            mapped_at_creation: false,
-        });
-        encoder.resolve_query_set(queries, 0..2, &ticks, 0);
-        Some(ticks)
+    /// Copies the two time stamps to `offset` of `to`.
+    fn resolve(&self, encoder: &mut wgpu::CommandEncoder, to: &wgpu::Buffer, offset: u64) {
+        if let (Some(queries), Some(ticks)) = (&self.queries, &self.ticks) {
+            encoder.resolve_query_set(queries, 0..2, ticks, 0);
+            encoder.copy_buffer_to_buffer(ticks, 0, to, offset, TICK_BYTES);
+        }
     }
 }
 

@@ -15,7 +15,7 @@ pub struct RenderStats {
     pub buffers: BTreeMap<String, u64>,
     /// Paths traced.
     pub paths: u64,
-    /// Rays traced where the engine counts them (wavefront), shadow rays not included.
+    /// Rays traced, shadow rays not included.
     pub rays: u64,
     /// Seconds that the GPU worked, by its own clock; 0 where it has none.
     pub gpu_seconds: f64,

@@ -22,7 +22,8 @@ pub trait Tracer: Send {
     fn unbind(&mut self);
 
     /// Leaves the radiance of every path of the batch in its buffer; false if cancelled before that.
-    fn trace(&mut self, batch: &Batch, cancel: &CancelToken) -> Result<bool, RenderError>;
+    /// While the GPU works, sums of the batch before are added to the film.
+    fn trace(&mut self, batch: &Batch, film: &mut Film, cancel: &CancelToken) -> Result<bool, RenderError>;
 }
 
 impl<T: Tracer> Engine for T {
@@ -41,15 +42,12 @@ impl<T: Tracer> Engine for T {
         cancel: &CancelToken,
     ) -> Result<(), RenderError> {
         let start = Instant::now();
-        for batch in batches(self.gpu().pixels(), range, self.gpu().max_paths) {
-            self.prepare(&batch)?;
-            if !self.trace(&batch, cancel)? {
-                break;
-            }
-            self.gpu_mut().resolve(&batch, film)?;
+        let traced = trace_batches(self, range, film, cancel);
+        if traced.is_err() {
+            self.gpu_mut().forget_sums();
         }
         self.gpu_mut().stats.seconds += start.elapsed().as_secs_f64();
-        Ok(())
+        traced
     }
 
     fn set_guide(&mut self, table: GuideTable) -> Result<(), RenderError> {
@@ -63,11 +61,41 @@ impl<T: Tracer> Engine for T {
         self.gpu_mut().take_lessons()
     }
 
+    /// Whole batches: as many as fit into the time of a step by what earlier ones took.
     fn step_samples(&self) -> u32 {
-        batch_samples(self.gpu().pixels(), self.gpu().max_paths)
+        let gpu = self.gpu();
+        let batch = batch_samples(gpu.pixels(), gpu.max_paths);
+        let samples = gpu.stats.paths as f64 / f64::from(gpu.pixels());
+        let fitting = match gpu.stats.paths {
+            0 => 1.0,
+            _ => STEP_SECONDS * samples / gpu.stats.seconds.max(1e-9) / f64::from(batch),
+        };
+        batch.saturating_mul(fitting.clamp(1.0, 256.0) as u32)
     }
 
     fn stats(&self) -> RenderStats {
         self.gpu().stats.clone()
     }
+}
+
+/// How long a step should take, in seconds.
+const STEP_SECONDS: f64 = 0.25;
+
+/// Traces the batches of a range, each while the sums of the one before travel to the host.
+fn trace_batches<T: Tracer>(
+    tracer: &mut T,
+    range: Range<u32>,
+    film: &mut Film,
+    cancel: &CancelToken,
+) -> Result<(), RenderError> {
+    for batch in batches(tracer.gpu().pixels(), range, tracer.gpu().max_paths) {
+        tracer.prepare(&batch)?;
+        let finished = tracer.trace(&batch, film, cancel)?;
+        tracer.gpu_mut().receive_sums(film)?;
+        if !finished {
+            return Ok(());
+        }
+        tracer.gpu_mut().send_sums(&batch);
+    }
+    tracer.gpu_mut().receive_sums(film)
 }

@@ -4,6 +4,7 @@
 use super::gpu_film::{GpuFilm, Pacer};
 use super::tracer::Tracer;
 use super::{Batch, CancelToken, EngineKind, RenderError, RenderOptions};
+use crate::film::Film;
 use crate::gpu::device::Gpu;
 use crate::gpu::error::GpuError;
 use crate::gpu::key::KernelKey;
@@ -118,13 +119,20 @@ impl WavefrontEngine {
     }
 
     /// Submits `count` levels, the first of which is number `first`, and reads the counters behind them.
-    fn submit_levels(&mut self, first: u32, count: u32) -> Result<(Vec<u8>, f64), RenderError> {
+    fn submit_levels(
+        &mut self,
+        first: u32,
+        count: u32,
+        film: &mut Film,
+    ) -> Result<(Vec<u32>, f64), RenderError> {
         let (level, binds) = (&self.level, &self.binds);
-        self.gpu.submit(Some("counters"), |gpu, pass| {
+        let flight = self.gpu.launch(Some("counters"), |gpu, pass| {
             for i in first..first + count {
                 record_level(gpu, level, binds, pass, (i % 2) as usize);
             }
-        })
+        });
+        self.gpu.receive_sums(film)?;
+        self.gpu.land(flight, bytemuck::pod_collect_to_vec)
     }
 
     /// A queue that ran over is an error, never a darker image.
@@ -189,7 +197,7 @@ impl Tracer for WavefrontEngine {
     }
 
     /// Levels until the batch is done.
-    fn trace(&mut self, batch: &Batch, cancel: &CancelToken) -> Result<bool, RenderError> {
+    fn trace(&mut self, batch: &Batch, film: &mut Film, cancel: &CancelToken) -> Result<bool, RenderError> {
         self.gpu.write_uniforms(&self.gpu.batch_uniforms(batch));
         let mut counters = vec![0u32; counter_words(&self.gpu.key) as usize];
         self.gpu.gpu.queue.write_buffer(self.gpu.buffers.get("counters"), 0, bytemuck::cast_slice(&counters));
@@ -200,10 +208,10 @@ impl Tracer for WavefrontEngine {
             }
             let remaining = self.expected_levels.saturating_sub(level).max(4);
             let count = self.pacer.amount().min(remaining);
-            let (status, seconds) = self.submit_levels(level, count)?;
+            let (status, seconds) = self.submit_levels(level, count, film)?;
             self.pacer.observe(count, seconds);
             level += count;
-            counters = bytemuck::pod_collect_to_vec(&status);
+            counters = status;
             self.check_overflow(&counters)?;
             let counter = |c: Counter| counters[c as usize];
             let flying =

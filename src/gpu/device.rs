@@ -140,6 +140,16 @@ impl Gpu {
             .map_err(|e| GpuError::DeviceLost { adapter: self.summary.name.clone(), reason: e.to_string() })
     }
 
+    /// Waits for one submission; later ones may go on.
+    pub fn wait_for(&self, submission: wgpu::SubmissionIndex) -> Result<(), GpuError> {
+        let waited =
+            self.device.poll(wgpu::PollType::Wait { submission_index: Some(submission), timeout: None });
+        self.check()?;
+        waited
+            .map(|_| ())
+            .map_err(|e| GpuError::DeviceLost { adapter: self.summary.name.clone(), reason: e.to_string() })
+    }
+
     /// Compiles a linked kernel.
     pub fn kernel(&self, name: &str, wgsl: &str) -> Result<Kernel, GpuError> {
         let kernel = Kernel::new(self, name, wgsl)?;

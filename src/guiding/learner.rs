@@ -373,7 +373,9 @@ impl Pass<'_> {
 /// Cuts leaves that hold much of the cell's irradiance, one level at a time, and joins those that hold little.
 fn refine(cell: &mut CellState, depth: u32) {
     let total: f32 = cell.octants.iter().sum();
-    let limit = (env("QT_SHARE", SPLIT_SHARE as f64) as f32).max(env("QT_SUPPORT", 64.0) as f32 / cell.visits[0].max(1.0)) * total;
+    let limit = (env("QT_SHARE", SPLIT_SHARE as f64) as f32)
+        .max(env("QT_SUPPORT", 64.0) as f32 / cell.visits[0].max(1.0))
+        * total;
     let old = std::mem::take(&mut cell.nodes);
     /// A node to be emitted: the one that it was, or the energy of the leaf that it was.
     type Source = (Option<usize>, f32, u32);

@@ -54,17 +54,19 @@ impl Transport<'_> {
         }
     }
 
-    /// The radiance that a whole path brings to the camera.
-    pub fn trace(&self, path: u32) -> Vec3 {
+    /// The radiance that a whole path brings to the camera, and how many rays it took, shadow rays not counted.
+    pub fn trace(&self, path: u32) -> (Vec3, u32) {
+        let mut rays = 0;
         let mut radiance = Vec3::ZERO;
         let mut trail = Trail::default();
         let mut next = Some(self.generate(path));
         while let Some(ray) = next {
             let outcome = self.step(&ray, &trail);
+            rays += 1;
             radiance += outcome.emitted;
             radiance += outcome.direct;
             (next, trail) = (outcome.ray, outcome.trail);
         }
-        radiance
+        (radiance, rays)
     }
 }
