@@ -26,6 +26,8 @@ pub struct Guided {
     learner: Learner,
     /// Samples of each pixel after which the pass ends; `u32::MAX` for the last.
     pass_end: u32,
+    /// Whether the pass teaches.
+    learning: bool,
     learning_samples: u32,
     /// The film as it was when the pass began.
     before: Film,
@@ -52,12 +54,16 @@ impl Guided {
             }
             _ => options.guide,
         };
-        let mut learner = pilot(guide, scene, uniforms)?;
+        let mut learner = pilot(guide, options.guide_table.as_deref(), scene, uniforms)?;
+        learner.set_scene(scene.light_fingerprint());
         let estimates = vec![0.0; (uniforms.width * uniforms.height) as usize];
-        engine.set_guide(learner.table(true, &estimates))?;
+        let learning = guide.learning_samples > 0;
+        engine.set_guide(learner.table(learning, &estimates))?;
         Ok(Some(Guided {
             learner,
+            // Without a lesson there is still something to be found out: the estimates of the pixels.
             pass_end: FIRST_PASS,
+            learning,
             learning_samples: guide.learning_samples,
             before: Film::new(uniforms.width, uniforms.height),
             combined: CombinedFilm::default(),
@@ -85,10 +91,12 @@ impl Guided {
         self.estimates = estimates(film);
         self.combined.add(&pass, &self.estimates);
         self.before = film.clone();
-        self.learner.learn(&engine.take_lessons()?, pass.samples().0 as u32);
-        let learning = self.pass_end < self.learning_samples;
-        self.pass_end = if learning { self.pass_end.saturating_mul(2) } else { u32::MAX };
-        engine.set_guide(self.learner.table(learning, &self.estimates))
+        if self.learning {
+            self.learner.learn(&engine.take_lessons()?, pass.samples().0 as u32);
+        }
+        self.learning = self.pass_end < self.learning_samples;
+        self.pass_end = if self.learning { self.pass_end.saturating_mul(2) } else { u32::MAX };
+        engine.set_guide(self.learner.table(self.learning, &self.estimates))
     }
 
     /// `image` made of all passes by their weights.
@@ -134,8 +142,14 @@ fn estimates(film: &Film) -> Vec<f32> {
 }
 
 /// Traces a few paths on the CPU, the same whatever the engine: the learner's grid covers the surface points that they
-/// meet, and has a cell wherever they did. A scene's bounds would not do: walls may be spheres of radius 2000.
-fn pilot(options: GuideOptions, scene: &CompiledScene, uniforms: &Uniforms) -> Result<Learner, RenderError> {
+/// meet, and has a cell wherever they did. A scene's bounds would not do: walls may be spheres of radius 2000. A learner
+/// that was there `before` keeps its grid, and all its cells if it is not to learn.
+fn pilot(
+    options: GuideOptions,
+    before: Option<&Learner>,
+    scene: &CompiledScene,
+    uniforms: &Uniforms,
+) -> Result<Learner, RenderError> {
     let pixels = uniforms.width * uniforms.height;
     let uniforms = Uniforms { pixel_count: pixels, seed: uniforms.seed ^ 0x9e37_79b9, ..*uniforms };
     let lanes = ShapeLanes::new(scene);
@@ -143,11 +157,18 @@ fn pilot(options: GuideOptions, scene: &CompiledScene, uniforms: &Uniforms) -> R
     let paths = |transport: &Transport| -> Vec<Vec3> {
         (0..PILOT_PATHS).into_par_iter().flat_map_iter(|i| surface_points(transport, pixels, i)).collect()
     };
-    let points = paths(&transport);
-    let [low, high] = extent(&points);
     let brightest = scene.materials.iter().map(|m| luminance_of(m.emission)).fold(0.0, f32::max);
     let brightest = brightest.max(luminance_of(scene.environment));
-    let mut learner = Learner::new(options, low, high, brightest)?;
+    let mut learner = match before {
+        Some(learner) => learner.resumed(options, brightest)?,
+        None => {
+            let [low, high] = extent(&paths(&transport));
+            Learner::new(options, low, high, brightest)?
+        }
+    };
+    if before.is_some() && options.learning_samples == 0 {
+        return Ok(learner);
+    }
     let table: GuideTable = learner.table(true, &[]);
     let mut sums = LessonSums::new(LessonLayout::new(&table.uniforms));
     let guidance = Guidance { mode: options.mode, table: &table, sums: &sums };

@@ -10,6 +10,7 @@ mod guided;
 mod megakernel;
 mod options;
 mod renderer;
+mod show;
 mod stats;
 mod tracer;
 mod wavefront;
@@ -20,7 +21,8 @@ pub use batch::Batch;
 pub use error::RenderError;
 pub use options::{EngineChoice, EngineKind, RenderOptions};
 pub use renderer::Renderer;
-pub use stats::RenderStats;
+pub use show::GuideView;
+pub use stats::{GuideStats, RenderStats};
 
 use crate::film::Film;
 use crate::guiding::{GuideTable, Lessons};

@@ -2,12 +2,13 @@
 
 use super::RenderError;
 use crate::gpu::stage::Schedule;
-use crate::guiding::GuideOptions;
+use crate::guiding::{GuideOptions, GuideProblem, Learner};
 use crate::random::Sampler;
 use crate::scene::{Scene, check_image_size};
 use crate::transport::estimators::Estimators;
 use crate::transport::roulette::Roulette;
 use std::fmt;
+use std::sync::Arc;
 
 /// The engines, as they can be asked for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -55,6 +56,9 @@ pub struct RenderOptions {
     pub roulette_scale: Option<f32>,
     /// Whether and how paths are guided by what earlier ones found.
     pub guide: GuideOptions,
+    /// What was learnt before, to start from; its mode must be the one asked for. It may be of another scene
+    /// ([`Learner::scene`] tells): it steers paths, and the image is right all the same.
+    pub guide_table: Option<Arc<Learner>>,
     /// Levels of a path, 1 to 64: 1 shows only what emits, 2 adds direct light.
     pub max_bounces: Option<u32>,
     pub sampler: Sampler,
@@ -105,6 +109,28 @@ impl RenderOptions {
             && !(256..=1 << 26).contains(&pool)
         {
             return refuse("pool", pool, "choose 256 to 67108864 rays");
+        }
+        if let Some(scale) = self.roulette_scale
+            && !(scale.is_finite() && scale > 0.0)
+        {
+            return Err(RenderError::Option {
+                option: "roulette_scale",
+                value: scale.to_string(),
+                remedy: "choose a finite number above 0".to_string(),
+            });
+        }
+        if let Some(GuideProblem { option, value, remedy }) = self.guide.problem() {
+            return Err(RenderError::Option { option, value, remedy: remedy.to_string() });
+        }
+        if self.roulette == Some(Roulette::Learnt) && self.guide.mode.is_bansal() {
+            return Err(RenderError::Option {
+                option: "roulette",
+                value: Roulette::Learnt.to_string(),
+                remedy: format!(
+                    "guide {} does not learn how much light there is; choose roulette throughput, or guide adaptive",
+                    self.guide.mode
+                ),
+            });
         }
         let (width, height) = self.size.unwrap_or((scene.camera.width, scene.camera.height));
         check_image_size(width.into(), height.into())?;
