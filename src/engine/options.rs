@@ -137,3 +137,35 @@ impl RenderOptions {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::guiding::GuideMode;
+
+    /// Name and message of the option that is refused.
+    fn refused(options: RenderOptions) -> Option<(&'static str, String)> {
+        let scene = Scene::builder("nothing").camera([0.0; 3], [0.0, 0.0, -1.0], 45.0).build().unwrap();
+        match options.validate(&scene).err()? {
+            RenderError::Option { option, value, remedy } => Some((option, format!("{value}: {remedy}"))),
+            other => panic!("{other}"),
+        }
+    }
+
+    #[test]
+    fn guides_are_checked_in_the_library_too() {
+        let with = |guide: GuideOptions, roulette| RenderOptions { guide, roulette, ..Default::default() };
+        let guide = GuideOptions { mode: GuideMode::Adaptive, ..Default::default() };
+        assert_eq!(refused(with(guide, Some(Roulette::Learnt))), None);
+        let deep = refused(with(GuideOptions { depth: 8, ..guide }, None)).unwrap();
+        assert_eq!(deep, ("guide_depth", "8: choose 0 to 7".to_string()));
+        let bansal = GuideOptions { mode: GuideMode::Bansal, ..guide };
+        assert_eq!(refused(with(bansal, None)), None);
+        let (option, message) = refused(with(bansal, Some(Roulette::Learnt))).unwrap();
+        assert!(option == "roulette" && message.contains("guide bansal does not learn"), "{message}");
+        for scale in [0.0, -1.0, f32::NAN, f32::INFINITY] {
+            let options = RenderOptions { roulette_scale: Some(scale), ..Default::default() };
+            assert_eq!(refused(options).map(|(option, _)| option), Some("roulette_scale"));
+        }
+    }
+}

@@ -1,4 +1,5 @@
 use super::*;
+use crate::guiding::learner::{CELL_BYTES, NODE_BYTES};
 use crate::guiding::lessons::VISIT_UNIT;
 use crate::guiding::table::adaptive;
 use crate::guiding::{LessonLayout, Lessons};
@@ -101,6 +102,9 @@ fn bytes_are_those_of_the_buffers() {
     for mode in MODES {
         let learner = learner(mode, 11);
         let table = learner.snapshot();
+        let of_cells = CELL_BYTES * learner.cells() as u64 + NODE_BYTES * learner.nodes() as u64;
+        let of_index = 16 * learner.index.len().div_ceil(4) as u64 + 4 * u64::from(learner.layout().missing);
+        assert_eq!(learner.bytes(), of_cells + of_index, "{mode}");
         assert_eq!(learner.table_bytes(), 16 * table.rows.len() as u64, "{mode}");
         assert_eq!(learner.sums_bytes(), 4 * LessonLayout::new(&table.uniforms).words(), "{mode}");
     }

@@ -19,6 +19,9 @@ const SPLIT_SHARE: f32 = 0.01;
 const SPLIT_VISITS: f64 = 2000.0;
 /// Visits with which a cell's guide is trusted half.
 const TRUSTED_VISITS: f32 = 64.0;
+/// Bytes of a cell and of a quadtree node, in the table and in the sums of a pass.
+pub(super) const CELL_BYTES: u64 = 16 * CELL_ROWS as u64 + 128;
+pub(super) const NODE_BYTES: u64 = 48;
 /// Fixed-point units per unit of radiance, as a power of two below the brightest emitter.
 const UNIT_BITS: i32 = 36;
 
@@ -196,11 +199,9 @@ impl Learner {
 
     /// Cuts cells that were met more than `limit` times into those of their eighths that hold surfaces.
     fn cut_cells(&mut self, lessons: &Lessons, visits: &[f64], limit: f64) {
+        let mut bytes = self.bytes();
         for (cell, &count) in visits.iter().enumerate() {
-            if count <= limit
-                || self.cells[cell].level >= MAX_CELL_LEVELS
-                || self.bytes() > self.options.memory
-            {
+            if count <= limit || self.cells[cell].level >= MAX_CELL_LEVELS || bytes > self.options.memory {
                 continue;
             }
             let met = &lessons.visits[8 * cell..8 * cell + 8];
@@ -209,6 +210,8 @@ impl Learner {
             state.level += 1;
             state.visits.iter_mut().for_each(|v| *v /= parts.len().max(1) as f32);
             let state = state.clone();
+            let copies = parts.len().saturating_sub(1) as u64;
+            bytes += 32 + copies * (CELL_BYTES + NODE_BYTES * state.nodes.len() as u64);
             let block = self.index.len() as u32;
             let parent = self.word_of[cell] as usize;
             self.index[parent] = FINER | block;
