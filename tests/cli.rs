@@ -779,16 +779,16 @@ fn figures_tell_what_was_learnt_and_only_then() {
         serde_json::from_str(&outcome.stdout).unwrap()
     };
     assert_eq!(stats(&[]).get("guide"), None);
-    for (args, mode, nodes) in [
-        (&["--guide", "adaptive"][..], "adaptive", true),
-        (&["--guide", "octant", "--guide-cell", "0.5"], "octant", false),
-        (&["--guide", "bansal-reweighted"], "bansal-reweighted", false),
-        (&["--roulette", "learnt"], "adaptive", false),
+    for (args, mode) in [
+        (&["--guide", "adaptive"][..], "adaptive"),
+        (&["--guide", "octant", "--guide-cell", "0.5"], "octant"),
+        (&["--guide", "bansal-reweighted"], "bansal-reweighted"),
+        (&["--roulette", "learnt"], "adaptive"),
     ] {
         let guide = &stats(args)["guide"];
         assert_eq!(guide["mode"], mode);
         assert_eq!((&guide["passes"], &guide["learning_samples"]), (&3.into(), &8.into()), "{mode}");
-        assert_eq!(guide["nodes"].as_u64().unwrap() > 0, nodes, "{args:?}");
+        assert!(guide["nodes"] == 0 || args[1] == "adaptive", "{args:?}");
         for figure in ["cells", "table_bytes", "sums_bytes"] {
             assert!(guide[figure].as_u64().unwrap() > 0, "{args:?}: {figure}");
         }

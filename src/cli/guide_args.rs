@@ -10,6 +10,28 @@ use qtracer::transport::roulette::Roulette;
 use std::path::PathBuf;
 use std::sync::Arc;
 
+/// Help on a number whose default the library decides.
+struct Help(&'static str);
+
+const DEPTH: Help = Help("adaptive: how often each eighth of the directions may be quartered");
+const MIXTURE: Help =
+    Help("octant, adaptive: share of directions that are guided, once a cell is well known");
+const DISCOUNT: Help = Help("bansal: what the next surface's best direction counts");
+const THRESHOLD: Help = Help("bansal: directions worth less than this share of the best are drawn again");
+const LEARNING: Help =
+    Help("Samples per pixel that teach, rounded up to a power of two; 0 uses a loaded guide as it is");
+const MEMORY: Help = Help("Memory at which cells are no longer cut finer: 64M, 2G");
+
+impl Help {
+    fn with(&self, default: impl std::fmt::Display) -> String {
+        format!("{} [default: {default}]", self.0)
+    }
+}
+
+fn default() -> GuideOptions {
+    GuideOptions::default()
+}
+
 #[derive(Args)]
 pub struct GuideArgs {
     /// Learn where light comes from, and send paths there. bansal is that paper's rule, which is biased; all others
@@ -21,12 +43,10 @@ pub struct GuideArgs {
     #[arg(long, value_name = "SIZE", value_parser = values::length, allow_negative_numbers = true)]
     guide_cell: Option<f32>,
 
-    /// adaptive: how often each eighth of the directions may be quartered [default: 7]
-    #[arg(long, value_name = "0..7", value_parser = clap::value_parser!(u32).range(0..=7), allow_negative_numbers = true)]
+    #[arg(long, help = DEPTH.with(default().depth), value_name = "0..7", value_parser = clap::value_parser!(u32).range(0..=7), allow_negative_numbers = true)]
     guide_depth: Option<u32>,
 
-    /// octant, adaptive: share of directions that are guided, once a cell is well known [default: 0.5]
-    #[arg(long, value_name = "0..0.95", value_parser = values::mixture, allow_negative_numbers = true)]
+    #[arg(long, help = MIXTURE.with(default().mixture), value_name = "0..0.95", value_parser = values::mixture, allow_negative_numbers = true)]
     guide_mixture: Option<f32>,
 
     /// How much of what was learnt is forgotten with each pass; bansal: the step of each update
@@ -34,20 +54,16 @@ pub struct GuideArgs {
     #[arg(long, value_name = "0..1", value_parser = values::share, allow_negative_numbers = true)]
     guide_alpha: Option<f32>,
 
-    /// bansal: what the next surface's best direction counts [default: 0.8]
-    #[arg(long, value_name = "0..1", value_parser = values::share, allow_negative_numbers = true)]
+    #[arg(long, help = DISCOUNT.with(default().discount), value_name = "0..1", value_parser = values::share, allow_negative_numbers = true)]
     guide_discount: Option<f32>,
 
-    /// bansal: directions worth less than this share of the best are drawn again [default: 0.75]
-    #[arg(long, value_name = "0..1", value_parser = values::share, allow_negative_numbers = true)]
+    #[arg(long, help = THRESHOLD.with(default().threshold), value_name = "0..1", value_parser = values::share, allow_negative_numbers = true)]
     guide_threshold: Option<f32>,
 
-    /// Samples per pixel that teach, rounded up to a power of two; 0 uses a loaded guide as it is [default: 512]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32), allow_negative_numbers = true)]
+    #[arg(long, help = LEARNING.with(default().learning_samples.next_power_of_two()), value_name = "N", value_parser = clap::value_parser!(u32), allow_negative_numbers = true)]
     guide_learning: Option<u32>,
 
-    /// Memory at which cells are no longer cut finer: 64M, 2G [default: 256M]
-    #[arg(long, value_name = "SIZE", value_parser = values::bytes, allow_negative_numbers = true)]
+    #[arg(long, help = MEMORY.with(format_args!("{}M", default().memory >> 20)), value_name = "SIZE", value_parser = values::bytes, allow_negative_numbers = true)]
     guide_memory: Option<u64>,
 
     /// Keep what was learnt in this file
@@ -101,7 +117,7 @@ pub struct GuideJob {
 
 impl GuideArgs {
     pub fn options(&self) -> GuideOptions {
-        let default = GuideOptions::default();
+        let default = default();
         GuideOptions {
             mode: match self.guide {
                 GuideArg::Off => GuideMode::Off,
