@@ -1,7 +1,7 @@
 //! How much error is left after so many seconds or samples? Guides and roulettes side by side, several seeds each, learning
 //! charged: the clock runs from the first sample to the last, lessons and tables included.
 //!
-//! A variant is GUIDE:ROULETTE[:SCALE], such as `off:throughput:4` or `adaptive:learnt:3`. Errors are relMSE against a
+//! A variant is GUIDE[:ROULETTE[:SCALE]], such as `off:throughput:4`, `adaptive:learnt:3` or `auto`. Errors are relMSE against a
 //! reference of the same size (`--reference`), minus what the reference's own standard errors make of it. Rows as JSON lines.
 //!
 //! `cargo bench --bench efficiency -- --scene scenes/door-ajar.toml --reference door.exr --variant off:throughput:4 \
@@ -87,14 +87,15 @@ fn options(
         "bansal" => GuideMode::Bansal,
         "bansal-reweighted" => GuideMode::BansalReweighted,
         "octant" => GuideMode::Octant,
-        "adaptive" => GuideMode::Adaptive,
+        "adaptive" | "auto" => GuideMode::Adaptive,
         other => return Err(format!("guide {other}")),
     };
-    let roulette = match parts.next().unwrap_or("throughput") {
-        "off" => Roulette::Off,
-        "throughput" => Roulette::Throughput,
-        "learnt" => Roulette::Learnt,
-        other => return Err(format!("roulette {other}")),
+    let roulette = match parts.next() {
+        None => None,
+        Some("off") => Some(Roulette::Off),
+        Some("throughput") => Some(Roulette::Throughput),
+        Some("learnt") => Some(Roulette::Learnt),
+        Some(other) => return Err(format!("roulette {other}")),
     };
     let scale = parts.next().map(|scale| scale.parse().map_err(|_| format!("scale {scale}"))).transpose()?;
     let mut options = RenderOptions {
@@ -107,7 +108,7 @@ fn options(
             _ => EngineChoice::Auto,
         },
         direct_light: Some(arguments.direct_light),
-        roulette: Some(roulette),
+        roulette,
         roulette_scale: scale,
         max_bounces: Some(arguments.max_bounces),
         sampler: Sampler::Stratified,
@@ -115,6 +116,7 @@ fn options(
     };
     let guide = &mut options.guide;
     guide.mode = mode;
+    guide.trial = variant.starts_with("auto");
     guide.mixture = arguments.mixture.unwrap_or(guide.mixture);
     guide.depth = arguments.depth.unwrap_or(guide.depth);
     guide.learning_samples = arguments.learning.unwrap_or(guide.learning_samples);

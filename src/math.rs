@@ -1,4 +1,4 @@
-//! Directions and frames. GPU twin: kernels/base/vector.wesl
+//! Directions and frames; a checksum. GPU twin of all but that: kernels/base/vector.wesl
 
 use glam::Vec3;
 
@@ -40,4 +40,10 @@ pub fn luminance(rgb: Vec3) -> f32 {
 pub fn mis_weight(pdf: f32, other: f32) -> f32 {
     let ratio = other / pdf;
     1.0 / (1.0 + ratio * ratio)
+}
+
+/// FNV-1a over all parts as if they were one: a checksum against damage, not against forgers.
+pub fn fnv1a<'a>(parts: impl IntoIterator<Item = &'a [u8]>) -> u64 {
+    let bytes = parts.into_iter().flatten();
+    bytes.fold(0xcbf2_9ce4_8422_2325, |hash, &byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
 }

@@ -233,6 +233,37 @@ fn bad_options_are_refused_by_name_with_what_would_do() {
         (&["--pool", "0"], &["--pool"]),
         (&["--exposure", "inf"], &["--exposure", "-64 to 64"]),
         (&["--engine", "cpu", "--pool", "7"], &["7", "--pool", "256"]),
+        (&["--roulette", "maybe"], &["--roulette", "throughput", "learnt"]),
+        (&["--roulette-scale", "0"], &["--roulette-scale", "above 0"]),
+        (&["--roulette-scale", "1e99"], &["--roulette-scale", "above 0"]),
+        (&["--guide", "octants"], &["--guide", "octant", "adaptive"]),
+        (&["--guide-cell", "0"], &["--guide-cell", "above 0"]),
+        (&["--guide-cell", "-1"], &["--guide-cell", "-1", "above 0"]),
+        (&["--guide-cell", "inf"], &["--guide-cell", "scene units"]),
+        (&["--guide-depth", "8"], &["--guide-depth", "8", "0..=7"]),
+        (&["--guide-mixture", "1"], &["--guide-mixture", "0 to 0.95"]),
+        (&["--guide-alpha", "nan"], &["--guide-alpha", "0 to 1"]),
+        (&["--guide-discount", "1.5"], &["--guide-discount", "0 to 1"]),
+        (&["--guide-threshold", "-0.5"], &["--guide-threshold", "-0.5", "0 to 1"]),
+        (&["--guide-learning", "-1"], &["--guide-learning", "-1"]),
+        (&["--guide-memory", "0"], &["--guide-memory", "256M"]),
+        (&["--guide-memory", "12X"], &["--guide-memory", "12X", "256M"]),
+        (&["--guide", "adaptive", "--guide-memory", "1K", "--engine", "cpu"], &["1024", "--guide-memory"]),
+        (
+            &["--guide", "bansal", "--roulette", "learnt"],
+            &["--roulette learnt", "--guide bansal", "adaptive"],
+        ),
+        (&["--guide", "bansal-reweighted", "--roulette", "learnt"], &["--guide bansal-reweighted"]),
+        (&["--save-guide", "x.guide"], &["--save-guide", "add --guide"]),
+        (&["--load-guide", "x.guide"], &["--load-guide", "add --guide"]),
+        (&["--show", "cells"], &["--show", "add --guide"]),
+        (&["--guide-layers"], &["--guide-layers", "add --guide"]),
+        (&["--guide", "octant", "--show", "bounces"], &["--show", "illumination"]),
+        (&["--guide", "octant", "--save-guide", "no/x.guide"], &["no", "does not exist", "create it"]),
+        (
+            &["--guide", "octant", "--save-guide", "a.png", "-o", "a.png"],
+            &["a.png", "--save-guide", "two files"],
+        ),
         (&["--no-such-option"], &["--no-such-option"]),
     ] {
         place.refuses(&[&["render", "ball.toml"], args].concat(), words);
@@ -696,6 +727,238 @@ fn options_without_effect_are_named() {
     let stderr = place.render(&idle).stderr;
     assert!(stderr.contains("warning: --pool has no effect on the cpu engine"), "{stderr}");
     assert!(stderr.contains("warning: --exposure has no effect"), "{stderr}");
+}
+
+#[test]
+fn guide_options_without_effect_are_named() {
+    let place = Place::new();
+    let warnings = |args: &[&str]| place.render(&[args, &["--spp", "1"]].concat()).stderr;
+    let off = warnings(&[
+        "--guide-cell",
+        "1",
+        "--guide-memory",
+        "1M",
+        "--roulette",
+        "off",
+        "--roulette-scale",
+        "2",
+    ]);
+    for option in ["--guide-cell", "--guide-memory", "--roulette-scale"] {
+        assert!(off.contains(&format!("warning: {option} has no effect")), "{option}: {off}");
+    }
+    let octant = warnings(&["--guide", "octant", "--guide-depth", "3", "--guide-discount", "0.5"]);
+    assert!(octant.contains("--guide-depth has no effect with --guide octant"), "{octant}");
+    assert!(octant.contains("goes with --guide bansal"), "{octant}");
+    let all = ["--guide", "adaptive", "--guide-cell", "1", "--guide-depth", "3", "--guide-mixture", "0.7"];
+    let more =
+        ["--guide-alpha", "0.5", "--guide-learning", "4", "--guide-memory", "8M", "--roulette", "learnt"];
+    let used = warnings(&[&all[..], &more, &["--roulette-scale", "2"]].concat());
+    assert!(!used.contains("warning"), "{used}");
+    let nothing = warnings(&["--guide", "adaptive", "--guide-learning", "0"]);
+    assert!(nothing.contains("warning: --guide-learning 0 without --load-guide"), "{nothing}");
+    let layers = warnings(&["--guide", "adaptive", "--guide-layers"]);
+    assert!(layers.contains("warning: --guide-layers has no effect"), "{layers}");
+}
+
+#[test]
+fn roulette_has_a_name_and_is_still_switched_on_and_off() {
+    let place = Place::new();
+    for (value, name) in [("on", "throughput"), ("true", "throughput"), ("off", "off"), ("false", "off")] {
+        place.render(&["--roulette", value, "-o", "a.exr"]);
+        assert_eq!(place.image("a.exr").metadata.get("roulette"), Some(name), "{value}");
+    }
+    place.render(&["--roulette", "learnt", "--roulette-scale", "2", "-o", "a.exr"]);
+    assert_eq!(place.image("a.exr").metadata.get("roulette"), Some("learnt"));
+}
+
+#[test]
+fn figures_tell_what_was_learnt_and_only_then() {
+    let place = Place::new();
+    let stats = |args: &[&str]| -> serde_json::Value {
+        let outcome = place.render(&[args, &["--spp", "8", "--stats", "json"]].concat());
+        serde_json::from_str(&outcome.stdout).unwrap()
+    };
+    assert_eq!(stats(&[]).get("guide"), None);
+    for (args, mode) in [
+        (&["--guide", "adaptive"][..], "adaptive"),
+        (&["--guide", "octant", "--guide-cell", "0.5"], "octant"),
+        (&["--guide", "bansal-reweighted"], "bansal-reweighted"),
+        (&["--roulette", "learnt"], "adaptive"),
+    ] {
+        let guide = &stats(args)["guide"];
+        assert_eq!(guide["mode"], mode);
+        assert_eq!((&guide["passes"], &guide["learning_samples"]), (&3.into(), &8.into()), "{mode}");
+        assert!(guide["nodes"] == 0 || args[1] == "adaptive", "{args:?}");
+        for figure in ["cells", "table_bytes", "sums_bytes"] {
+            assert!(guide[figure].as_u64().unwrap() > 0, "{args:?}: {figure}");
+        }
+    }
+    let limited = stats(&["--guide", "octant", "--guide-learning", "2"]);
+    assert_eq!(limited["guide"]["learning_samples"], 2);
+}
+
+#[test]
+fn bansals_own_rule_is_called_biased_and_not_merged_with_the_truth() {
+    let place = Place::new();
+    let render = |args: &[&str], seed: &str, name: &str| {
+        place.render(&[args, &["--spp", "4", "--seed", seed, "-o", name]].concat()).stderr
+    };
+    let stderr = render(&["--guide", "bansal"], "1", "bansal.exr");
+    assert!(stderr.contains("warning: --guide bansal is biased"), "{stderr}");
+    render(&["--guide", "bansal"], "2", "bansal2.exr");
+    render(&["--guide", "bansal", "--guide-threshold", "0.5"], "3", "other.exr");
+    let quiet = render(&["--guide", "bansal-reweighted"], "4", "reweighted.exr");
+    assert!(!quiet.contains("biased"), "{quiet}");
+    render(&["--guide", "adaptive", "--roulette", "learnt", "--roulette-scale", "2"], "5", "adaptive.exr");
+    render(&["--roulette", "off"], "6", "plain.exr");
+    assert_eq!(place.image("bansal.exr").metadata.get("guide"), Some("bansal (biased)"));
+    assert_eq!(place.image("adaptive.exr").metadata.get("guide"), Some("adaptive"));
+    for other in ["reweighted.exr", "adaptive.exr", "plain.exr", "other.exr"] {
+        for pair in [["bansal.exr", other], [other, "bansal.exr"]] {
+            let args = ["merge", pair[0], pair[1], "-o", "out.exr"];
+            place.refuses(&args, &[other, "bansal.exr", "bansal (biased)", "own kind"]);
+        }
+    }
+    place.succeed(&["merge", "bansal.exr", "bansal2.exr", "-o", "both.exr"]);
+    place.refuses(&["merge", "both.exr", "plain.exr", "-o", "out.exr"], &["bansal (biased)"]);
+    place.succeed(&["merge", "plain.exr", "adaptive.exr", "reweighted.exr", "-o", "all.exr"]);
+    let all = place.image("all.exr").metadata;
+    assert_eq!(all.get("guide"), Some("off, adaptive, bansal-reweighted"));
+    assert_eq!(all.get("samples"), Some("12"));
+}
+
+#[test]
+fn what_was_learnt_is_kept_and_used_again() {
+    let place = Place::new();
+    for guide in ["bansal-reweighted", "octant", "adaptive"] {
+        let learn = ["--guide", guide, "--spp", "8", "-o", "learnt.exr", "--save-guide"];
+        let stderr = place.render(&[&learn[..], &["a.guide"]].concat()).stderr;
+        assert!(stderr.contains("learnt.exr, a.guide"), "{stderr}");
+        place.render(&[&learn[..], &["b.guide"]].concat());
+        assert!(place.bytes("a.guide") == place.bytes("b.guide"), "{guide}");
+
+        let again = ["--guide", guide, "--spp", "4", "--seed", "9", "--load-guide", "a.guide"];
+        let render = |more: &[&str], name: &str| {
+            let outcome = place.render(&[&again[..], more, &["-o", name, "--stats", "json"]].concat());
+            assert!(!outcome.stderr.contains("warning"), "{}", outcome.stderr);
+            serde_json::from_str::<serde_json::Value>(&outcome.stdout).unwrap()["guide"].clone()
+        };
+        let goes_on = render(&[], "goes-on.exr");
+        assert_eq!((&goes_on["passes"], &goes_on["learning_samples"]), (&5.into(), &12.into()), "{guide}");
+        render(&[], "goes-on-2.exr");
+        assert_eq!(place.image("goes-on.exr").rgb, place.image("goes-on-2.exr").rgb, "{guide}");
+        let fixed = ["--guide-learning", "0", "--save-guide", "fixed.guide"];
+        assert_eq!(render(&fixed, "fixed.exr")["passes"], 3, "{guide}");
+        assert!(place.bytes("a.guide") == place.bytes("fixed.guide"), "{guide} changed");
+        place.render(&["--guide", guide, "--spp", "4", "--seed", "9", "-o", "anew.exr"]);
+        assert_ne!(place.image("goes-on.exr").rgb, place.image("anew.exr").rgb, "{guide}");
+    }
+    let early = place.render(&["--guide", "octant", "--spp", "1", "--save-guide", "early.guide"]).stderr;
+    assert!(early.contains("warning: \"early.guide\" knows nothing"), "{early}");
+}
+
+#[test]
+fn guides_of_other_scenes_are_used_with_a_warning() {
+    let place = Place::new();
+    place.variant("red.toml", "color = [0.7, 0.4, 0.3]", "color = [0.9, 0.1, 0.1]");
+    place.variant("aside.toml", "origin = [0, 1, 5]", "origin = [2, 1, 5]");
+    place.render(&["--guide", "adaptive", "--spp", "4", "--save-guide", "a.guide"]);
+    let stderr = |scene: &str| {
+        let args = ["render", scene, "--engine", "cpu", "--guide", "adaptive", "--load-guide", "a.guide"];
+        place.succeed(&args).stderr
+    };
+    assert!(stderr("red.toml").contains("warning: --load-guide: it was learnt in another scene"));
+    assert!(!stderr("aside.toml").contains("warning"), "the same scene from elsewhere");
+    let cell = place.render(&["--guide", "adaptive", "--load-guide", "a.guide", "--guide-cell", "1"]).stderr;
+    assert!(cell.contains("warning: --guide-cell has no effect: a loaded guide"), "{cell}");
+}
+
+#[test]
+fn guides_that_cannot_be_used_are_refused_by_name() {
+    let place = Place::new();
+    place.render(&["--guide", "octant", "--spp", "4", "--save-guide", "good.guide"]);
+    let good = place.bytes("good.guide");
+    let refuses = |name: &str, words: &[&str]| {
+        let args = ["render", "ball.toml", "--engine", "cpu", "--guide", "octant", "--load-guide", name];
+        place.refuses(&args, &[&[name], words].concat());
+    };
+    place.write("cut.guide", &good[..good.len() / 2]);
+    refuses("cut.guide", &["cut short", "--save-guide"]);
+    let mut flipped = good.clone();
+    flipped[good.len() / 2] ^= 1;
+    place.write("flipped.guide", flipped);
+    refuses("flipped.guide", &["checksum", "--save-guide"]);
+    let mut newer = good.clone();
+    newer[8] = 77;
+    place.write("newer.guide", newer);
+    refuses("newer.guide", &["version 77", "newer qtracer"]);
+    refuses("ball.toml", &["no file of what a guide has learnt"]);
+    refuses("missing.guide", &["check the name"]);
+    refuses(".", &["regular file"]);
+    let load = |guide: &str| {
+        ["render", "ball.toml", "--guide", guide, "--load-guide", "good.guide"].map(str::to_string)
+    };
+    for guide in ["adaptive", "bansal"] {
+        let args = load(guide);
+        let args: Vec<&str> = args.iter().map(String::as_str).collect();
+        let outcome = place.run(&args);
+        assert_eq!(outcome.code, Some(2), "{}", outcome.stderr);
+        assert!(
+            outcome.stderr.contains("good.guide") && outcome.stderr.contains("--guide octant"),
+            "{}",
+            outcome.stderr
+        );
+    }
+    let small = ["render", "ball.toml", "--engine", "cpu", "--guide", "octant", "--load-guide", "good.guide"];
+    place.refuses(&[&small[..], &["--guide-memory", "1K"]].concat(), &["1024", "--guide-memory"]);
+}
+
+#[test]
+fn pictures_show_what_was_learnt() {
+    let place = Place::new();
+    for guide in ["bansal-reweighted", "octant", "adaptive"] {
+        let mut pictures = Vec::new();
+        for view in ["illumination", "direction", "cells", "entropy"] {
+            let learn = ["--guide", guide, "--spp", "8", "--size", "40x30", "--show", view];
+            place.render(&[&learn[..], &["-o", "a.png", "-o", "a.exr"]].concat());
+            let (picture, image) = (place.image("a.png").rgb, place.image("a.exr"));
+            let depth = &image.features.as_ref().unwrap().depth;
+            let pixels = || picture.iter().zip(depth);
+            let sky = || pixels().filter(|(_, depth)| **depth == 0.0).map(|(rgb, _)| *rgb);
+            let ground = || pixels().filter(|(_, depth)| **depth > 0.0).map(|(rgb, _)| *rgb);
+            assert!(sky().count() > 50 && sky().all(|rgb| rgb == [0.0; 3]), "{guide} {view}");
+            let lit = ground().filter(|rgb| *rgb != [0.0; 3]).count();
+            assert!(2 * lit > ground().count(), "{guide} {view}: {lit} lit");
+            let below = picture[40 * 25 + 20];
+            assert!(ground().any(|rgb| rgb != below), "{guide} {view} is even");
+            assert!(says(&place.bytes("a.png"), &format!("show\0{view}")));
+            assert!(image.rgb != picture && image.rgb[0] == [0.5, 0.7, 1.0], "the image stays");
+            assert_layers(&image, depth);
+            pictures.push(picture);
+        }
+        assert!(pictures.windows(2).all(|pair| pair[0] != pair[1]), "{guide}");
+    }
+    place.render(&["--guide", "adaptive", "--spp", "4", "--guide-layers", "-o", "b.exr", "-o", "b.png"]);
+    assert!(place.image("b.exr").guide.is_some() && !says(&place.bytes("b.png"), "show\0"));
+    place.succeed(&["compare", "b.exr", "b.exr", "--max-relmse", "0"]);
+    place.render(&["--guide", "adaptive", "--spp", "4", "-o", "plain.exr"]);
+    assert!(place.image("plain.exr").guide.is_none());
+}
+
+/// Whether a file holds this text.
+fn says(bytes: &[u8], text: &str) -> bool {
+    bytes.windows(text.len()).any(|window| window == text.as_bytes())
+}
+
+fn assert_layers(image: &Image, depth: &[f32]) {
+    let layers = image.guide.as_ref().unwrap();
+    assert!(layers.entropy.iter().all(|value| (0.0..=1.0).contains(value)));
+    assert!(layers.illumination.iter().all(|value| value.is_finite() && *value >= 0.0));
+    assert!(layers.cell.iter().zip(depth).all(|(&cell, &depth)| depth > 0.0 || cell == -1.0));
+    for direction in &layers.direction {
+        let square: f32 = direction.iter().map(|d| d * d).sum();
+        assert!(square == 0.0 || (square - 1.0).abs() < 1e-3, "{direction:?}");
+    }
 }
 
 #[test]

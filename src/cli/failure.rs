@@ -32,6 +32,7 @@ impl Failure {
     pub fn of_start(error: &RenderError) -> Self {
         match error {
             RenderError::Option { .. }
+            | RenderError::Guide(_)
             | RenderError::TooManySamples { .. }
             | RenderError::Gpu(GpuError::NoAdapter { wanted: Some(_), .. }) => Self::bad_input(error),
             _ => Self::failed(error),

@@ -97,6 +97,7 @@ impl Shard {
     fn add(&mut self, other: Shard) -> Result<(), Failure> {
         let path = other.path.display();
         self.same(&other, &["scene", "max_bounces"])?;
+        self.same_estimand(&other)?;
         for part in &other.parts {
             if let Some(old) = self.parts.iter().find(|old| overlap(old, part)) {
                 let old_path = old.path.display();
@@ -114,6 +115,8 @@ impl Shard {
         let (metadata, more) = (&mut self.image.metadata, &other.image.metadata);
         join(metadata, more, "engine");
         join(metadata, more, "device");
+        join(metadata, more, "guide");
+        join(metadata, more, "roulette");
         if self.image.features.is_none() {
             self.image.features = other.image.features;
         }
@@ -134,6 +137,25 @@ impl Shard {
             }
         }
         Ok(())
+    }
+
+    /// Guided and plain renders converge to the same; those of a biased guide to something of its own.
+    fn same_estimand(&self, other: &Shard) -> Result<(), Failure> {
+        let guide = |shard: &Shard| {
+            let get = |key| shard.image.metadata.get(key);
+            let rule = get("guide_rule").map_or(String::new(), |rule| format!(": {rule}"));
+            format!("{}{rule}", get("guide").unwrap_or("off"))
+        };
+        let (ours, theirs) = (guide(self), guide(other));
+        let biased = |guide: &str| guide.contains("(biased)");
+        if ours == theirs || !(biased(&ours) || biased(&theirs)) {
+            return Ok(());
+        }
+        let (path, first) = (other.path.display(), self.path.display());
+        Err(Failure::bad_input(format!(
+            "cannot merge \"{path}\" (guide {theirs}) with \"{first}\" (guide {ours}): a biased guide converges to \
+             another image; merge it with its own kind only"
+        )))
     }
 
     fn into_image(self) -> Image {

@@ -5,6 +5,7 @@ mod compare;
 mod console;
 mod diff;
 mod failure;
+mod guide_args;
 mod info;
 mod kernels;
 mod merge;

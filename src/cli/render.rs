@@ -4,10 +4,11 @@ use super::console;
 use super::failure::Failure;
 use super::kernels;
 use super::progress::Progress;
-use super::render_args::{Job, RenderArgs};
+use super::render_args::{Job, RenderArgs, has_extension};
 use super::signals;
 use super::stats::{self, Report};
 use super::stop::{Goal, State};
+use qtracer::engine::GuideView;
 use qtracer::film::{WriteOptions, write_image};
 use qtracer::{EngineKind, Image, RenderError, Renderer};
 use std::path::PathBuf;
@@ -31,6 +32,7 @@ pub fn run(args: RenderArgs) -> Result<(), Failure> {
     let preparation = start.elapsed();
     renderer.notices().iter().for_each(|text| note(&job, text));
     warn_of_idle_options(&job, renderer.engine());
+    warn_of_other_scene(&job, &renderer);
     let (end, elapsed) = trace(&mut renderer, &job);
     Ending::new(&job, &renderer, end, preparation, elapsed).conclude()
 }
@@ -52,6 +54,17 @@ fn warn_of_idle_options(job: &Job, engine: EngineKind) {
     ];
     for (option, _) in idle.iter().filter(|(_, idle)| *idle) {
         console::warning(format!("{option} has no effect on the {engine} engine"));
+    }
+}
+
+/// A guide that was learnt elsewhere is no fault: it steers paths, and the image is right all the same.
+fn warn_of_other_scene(job: &Job, renderer: &Renderer) {
+    if let (Some(before), Some(now)) = (&job.options.guide_table, renderer.learner())
+        && before.scene() != now.scene()
+    {
+        console::warning(
+            "--load-guide: it was learnt in another scene; the image will be right, but maybe no less noisy",
+        );
     }
 }
 
@@ -131,7 +144,8 @@ impl<'a> Ending<'a> {
             self.problems.push(problem.to_string());
             return Err(Failure::failed_all(self.problems));
         }
-        let written = self.write_outputs();
+        let mut written = self.write_outputs();
+        written.extend(self.save_guide());
         if !self.complete && !written.is_empty() {
             let problem = format!("the image written has {}", self.samples_so_far());
             self.problems.push(problem);
@@ -147,9 +161,14 @@ impl<'a> Ending<'a> {
     fn write_outputs(&mut self) -> Vec<&'a PathBuf> {
         let options = WriteOptions { exposure: self.job.exposure };
         let image = self.image();
+        let shown = self.job.guide.show.and_then(|view| shown(view, &image, options.exposure));
         let mut written = Vec::new();
         for path in &self.job.outputs {
-            match write_image(path, &image, &options) {
+            let result = match &shown {
+                Some((picture, options)) if has_extension(path, "png") => write_image(path, picture, options),
+                _ => write_image(path, &image, &options),
+            };
+            match result {
                 Ok(()) => written.push(path),
                 Err(error) => self.problems.push(error.to_string()),
             }
@@ -157,11 +176,28 @@ impl<'a> Ending<'a> {
         written
     }
 
+    /// Writes what was learnt, if that is asked for; the file if it is there.
+    fn save_guide(&mut self) -> Option<&'a PathBuf> {
+        let (path, learner) = (self.job.guide.save.as_ref()?, self.renderer.learner()?);
+        if learner.passes() == 0 {
+            let path = path.display();
+            console::warning(format!(
+                "\"{path}\" knows nothing: render at least 2 samples per pixel to learn"
+            ));
+        }
+        learner.save(path).map_err(|error| self.problems.push(error.to_string())).ok()?;
+        Some(path)
+    }
+
     /// Whoever interrupts wants no further rays: features are for complete renders.
     fn image(&self) -> Image {
-        match self.job.features && self.complete {
+        let image = match self.job.features && self.complete {
             true => self.renderer.image_with_features(),
             false => self.renderer.image(),
+        };
+        match self.job.guide.layers && (self.complete || self.job.guide.show.is_some()) {
+            true => Image { guide: self.renderer.guide_layers(), ..image },
+            false => image,
         }
     }
 
@@ -200,8 +236,18 @@ impl<'a> Ending<'a> {
     }
 }
 
+/// The picture of what was learnt in place of the image. Only radiance can be exposed.
+fn shown(view: GuideView, image: &Image, exposure: f32) -> Option<(Image, WriteOptions)> {
+    let rgb = view.picture(image.guide.as_ref()?);
+    let mut metadata = image.metadata.clone();
+    metadata.set("show", view);
+    let exposure = if view == GuideView::Illumination { exposure } else { 0.0 };
+    Some((Image { metadata, ..Image::new(image.width, image.height, rgb) }, WriteOptions { exposure }))
+}
+
 #[cfg(test)]
 mod tests {
+    use super::super::guide_args::GuideJob;
     use super::super::stop::Stop;
     use super::*;
     use qtracer::film::read_image;
@@ -221,6 +267,7 @@ mod tests {
         Job {
             scene,
             options: RenderOptions::cpu(),
+            guide: GuideJob::default(),
             stop: Stop { goal: Goal::Samples, max_samples: 8 },
             outputs: vec![output],
             exposure: 0.0,

@@ -2,12 +2,12 @@
 
 use super::console;
 use super::failure::Failure;
+use super::guide_args::{GuideArgs, GuideJob};
 use super::stop::{Goal, Stop};
 use super::values::{self, Switch};
 use clap::{Args, ValueEnum};
 use qtracer::film::check_writable;
 use qtracer::gpu::stage::Schedule;
-use qtracer::guiding::{GuideMode, GuideOptions};
 use qtracer::transport::roulette::Roulette;
 use qtracer::{EngineChoice, RenderOptions, Sampler, Scene};
 use std::path::{Path, PathBuf};
@@ -40,6 +40,8 @@ pub struct RenderArgs {
     stop: StopArgs,
     #[command(flatten, next_help_heading = "What to compute")]
     transport: TransportArgs,
+    #[command(flatten, next_help_heading = "What to learn")]
+    guide: GuideArgs,
     #[command(flatten, next_help_heading = "Where to compute")]
     engine: EngineArgs,
     #[command(flatten, next_help_heading = "Images")]
@@ -89,12 +91,8 @@ struct TransportArgs {
     roulette: Option<RouletteArg>,
 
     /// Let this many times as many paths survive roulette: slower, less noisy [default: 1]
-    #[arg(long, value_name = "X", value_parser = values::positive, allow_negative_numbers = true)]
-    roulette_scale: Option<f64>,
-
-    /// Learn where light comes from, and send paths there
-    #[arg(long, value_enum, default_value_t = GuideArg::Off)]
-    guide: GuideArg,
+    #[arg(long, value_name = "X", value_parser = values::factor, allow_negative_numbers = true)]
+    roulette_scale: Option<f32>,
 
     /// How the samples of a pixel relate: spread evenly, or independent, whose standard errors are exact
     #[arg(long, value_enum, default_value_t = SamplerArg::Stratified)]
@@ -157,6 +155,11 @@ Examples:
   qtracer render room.toml --spp 512 --first-sample 512 -o b.exr
   qtracer merge a.exr b.exr -o room.exr
       1024 samples in two parts, maybe on two machines.
+  qtracer render scenes/door-ajar.toml --guide adaptive --spp 512 --save-guide door.guide
+  qtracer render scenes/door-ajar.toml --guide adaptive --spp 512 --load-guide door.guide --seed 2
+      Paths learn where light comes from; the second render starts with what the first has learnt.
+  qtracer render scenes/door-ajar.toml --guide adaptive --show direction -o direction.png
+      A picture of what was learnt.
 
 Ctrl-C writes the image so far (without features) and exits 1; a second one exits at once.";
 
@@ -182,15 +185,6 @@ enum RouletteArg {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum GuideArg {
-    Off,
-    Bansal,
-    BansalReweighted,
-    Octant,
-    Adaptive,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum EngineArg {
     Auto,
     Cpu,
@@ -209,6 +203,8 @@ enum ScheduleArg {
 pub struct Job {
     pub scene: Scene,
     pub options: RenderOptions,
+    /// What to do with what was learnt.
+    pub guide: GuideJob,
     pub stop: Stop,
     pub outputs: Vec<PathBuf>,
     pub exposure: f32,
@@ -240,9 +236,21 @@ impl RenderArgs {
         if self.images.features && !has("exr") {
             console::warning("--features has no effect: no output is an .exr");
         }
+        let mut options = render_options(self.size, &self.transport, &self.guide, &self.engine);
+        let estimators = options.estimators(&scene);
+        let guide = self.guide.check(&estimators, &outputs)?;
+        options.guide_table = self.guide.loaded(&estimators)?;
+        if options.roulette_scale.is_some() && estimators.roulette == Roulette::Off {
+            console::warning("--roulette-scale has no effect: roulette is off");
+        }
+        let shown = guide.layers && (has("exr") || guide.show.is_some());
+        if guide.layers && !shown {
+            console::warning("--guide-layers has no effect: no output is an .exr");
+        }
         Ok(Job {
             features: has("exr") && !self.images.no_features,
-            options: render_options(self.size, &self.transport, &self.engine),
+            guide: GuideJob { layers: shown, ..guide },
+            options,
             scene,
             stop,
             outputs,
@@ -281,7 +289,12 @@ impl StopArgs {
     }
 }
 
-fn render_options(size: Option<(u32, u32)>, transport: &TransportArgs, engine: &EngineArgs) -> RenderOptions {
+fn render_options(
+    size: Option<(u32, u32)>,
+    transport: &TransportArgs,
+    guide: &GuideArgs,
+    engine: &EngineArgs,
+) -> RenderOptions {
     RenderOptions {
         size,
         seed: transport.seed,
@@ -293,17 +306,9 @@ fn render_options(size: Option<(u32, u32)>, transport: &TransportArgs, engine: &
             RouletteArg::Throughput => Roulette::Throughput,
             RouletteArg::Learnt => Roulette::Learnt,
         }),
-        roulette_scale: transport.roulette_scale.map(|scale| scale as f32),
-        guide: GuideOptions {
-            mode: match transport.guide {
-                GuideArg::Off => GuideMode::Off,
-                GuideArg::Bansal => GuideMode::Bansal,
-                GuideArg::BansalReweighted => GuideMode::BansalReweighted,
-                GuideArg::Octant => GuideMode::Octant,
-                GuideArg::Adaptive => GuideMode::Adaptive,
-            },
-            ..Default::default()
-        },
+        roulette_scale: transport.roulette_scale,
+        guide: guide.options(),
+        guide_table: None,
         sampler: match transport.sampler {
             SamplerArg::Stratified => Sampler::Stratified,
             SamplerArg::Independent => Sampler::Independent,
@@ -343,6 +348,6 @@ fn check_outputs(outputs: &[PathBuf]) -> Result<(), Failure> {
     Ok(())
 }
 
-fn has_extension(path: &Path, wanted: &str) -> bool {
+pub fn has_extension(path: &Path, wanted: &str) -> bool {
     path.extension().is_some_and(|found| found.eq_ignore_ascii_case(wanted))
 }

@@ -1,6 +1,7 @@
 //! Parsers of option values. Each refusal says what would be accepted; clap adds which option it was.
 
 use clap::ValueEnum;
+use qtracer::guiding::MAX_MIXTURE;
 use qtracer::scene::check_image_size;
 use std::time::Duration;
 
@@ -46,6 +47,58 @@ pub fn not_negative(text: &str) -> Result<f64, String> {
     match text.trim().parse::<f64>() {
         Ok(value) if value.is_finite() && value >= 0.0 => Ok(value),
         _ => Err("give a number from 0 on, such as 0.01".to_string()),
+    }
+}
+
+/// A length above 0 that f32 can hold.
+pub fn length(text: &str) -> Result<f32, String> {
+    match text.trim().parse::<f32>() {
+        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
+        _ => Err("give a length above 0, in scene units, such as 0.5".to_string()),
+    }
+}
+
+/// A factor above 0 that f32 can hold.
+pub fn factor(text: &str) -> Result<f32, String> {
+    match text.trim().parse::<f32>() {
+        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
+        _ => Err("give a number above 0, such as 2".to_string()),
+    }
+}
+
+/// A share, 0 and 1 included.
+pub fn share(text: &str) -> Result<f32, String> {
+    match text.trim().parse::<f32>() {
+        Ok(value) if (0.0..=1.0).contains(&value) => Ok(value),
+        _ => Err("give a number from 0 to 1, such as 0.75".to_string()),
+    }
+}
+
+/// A share of guided directions.
+pub fn mixture(text: &str) -> Result<f32, String> {
+    match text.trim().parse::<f32>() {
+        Ok(value) if (0.0..=MAX_MIXTURE).contains(&value) => Ok(value),
+        _ => Err(format!("give a number from 0 to {MAX_MIXTURE}, such as 0.5")),
+    }
+}
+
+/// `4096`, `64K`, `256M`, `1.5G`, also `256MiB`: above 0.
+pub fn bytes(text: &str) -> Result<u64, String> {
+    let form = || "give a number of bytes above 0, such as 256M or 2G".to_string();
+    let text = text.trim();
+    let digits = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
+    let value: f64 = text[..digits].parse().map_err(|_| form())?;
+    let unit = match text[digits..].trim().to_ascii_uppercase().as_str() {
+        "" | "B" => 0,
+        "K" | "KB" | "KIB" => 10,
+        "M" | "MB" | "MIB" => 20,
+        "G" | "GB" | "GIB" => 30,
+        "T" | "TB" | "TIB" => 40,
+        _ => return Err(form()),
+    };
+    match value * f64::powi(2.0, unit) {
+        bytes if (1.0..=f64::powi(2.0, 60)).contains(&bytes) => Ok(bytes as u64),
+        _ => Err(form()),
     }
 }
 
@@ -142,6 +195,23 @@ mod tests {
     }
 
     #[test]
+    fn bytes_are_counted_in_powers_of_1024() {
+        for (text, expected) in [
+            ("1", 1),
+            ("4096", 4096),
+            ("64k", 64 << 10),
+            ("256M", 256 << 20),
+            ("1.5 GiB", 3 << 29),
+            ("2GB", 2 << 30),
+        ] {
+            assert_eq!(bytes(text), Ok(expected), "{text}");
+        }
+        for text in ["", "0", "0.1", "-1", "M", "1X", "1.2.3M", "nan", "inf", "1e9", "9999999T", "é"] {
+            assert!(bytes(text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
     fn sizes_need_two_sides_that_fit_in_memory() {
         assert_eq!(size("640x480"), Ok((640, 480)));
         assert_eq!(size("16 × 9"), Ok((16, 9)));
@@ -157,6 +227,12 @@ mod tests {
             assert!(positive(text).is_err() && not_negative(text).is_err(), "{text}");
             assert!(probability(text).is_err() && count(text).is_err(), "{text}");
         }
+        for text in ["nan", "inf", "-1", "", "x", "1e99"] {
+            assert!(length(text).is_err() && factor(text).is_err(), "{text}");
+            assert!(share(text).is_err() && mixture(text).is_err(), "{text}");
+        }
+        assert!(length("0").is_err() && factor("0").is_err() && share("0").is_ok() && share("1").is_ok());
+        assert!(share("1.01").is_err() && mixture("0.95").is_ok() && mixture("0.96").is_err());
         assert!(positive("0").is_err() && not_negative("0").is_ok() && probability("1").is_err());
         assert!(count("0").is_err() && count("4294967296").is_err() && count("1").is_ok());
         assert!(stops("nan").is_err() && stops("65").is_err() && stops("-2.5").is_ok());

@@ -1,6 +1,6 @@
 //! The CPU engine: the transport functions over rayon. Also what renders where there is no GPU.
 
-use super::{CancelToken, Engine, EngineKind, Estimators, RenderError, RenderStats};
+use super::{CancelToken, Engine, EngineKind, Estimators, RenderError, RenderStats, Strategy};
 use crate::accel::ShapeLanes;
 use crate::film::Film;
 use crate::guiding::{GuideTable, LessonLayout, LessonSums, Lessons};
@@ -16,6 +16,7 @@ pub struct CpuEngine {
     lanes: ShapeLanes,
     uniforms: Uniforms,
     estimators: Estimators,
+    strategy: Strategy,
     guide: Option<(GuideTable, LessonSums)>,
     stats: RenderStats,
 }
@@ -31,7 +32,12 @@ impl CpuEngine {
             ..Default::default()
         };
         let lanes = ShapeLanes::new(&scene);
-        CpuEngine { scene, lanes, uniforms, estimators, guide: None, stats }
+        let strategy = Strategy {
+            informed: estimators.learns(),
+            roulette: estimators.roulette,
+            roulette_scale: estimators.roulette_scale,
+        };
+        CpuEngine { scene, lanes, uniforms, estimators, strategy, guide: None, stats }
     }
 
     /// One pass: the samples `range` of every pixel, rows in parallel. How many rays that took.
@@ -49,8 +55,8 @@ impl CpuEngine {
             uniforms: &uniforms,
             sampler: self.estimators.sampler,
             direct_light: self.estimators.direct_light && !self.scene.lights.is_empty(),
-            roulette: self.estimators.roulette,
-            guidance: self.guide.as_ref().map(|(table, sums)| Guidance {
+            roulette: self.strategy.roulette,
+            guidance: self.guide.as_ref().filter(|_| self.strategy.informed).map(|(table, sums)| Guidance {
                 mode: self.estimators.table_mode(),
                 table,
                 sums,
@@ -103,6 +109,12 @@ impl Engine for CpuEngine {
             sample = end;
         }
         self.stats.seconds += start.elapsed().as_secs_f64();
+        Ok(())
+    }
+
+    fn set_strategy(&mut self, strategy: Strategy) -> Result<(), RenderError> {
+        self.strategy = strategy;
+        self.uniforms.roulette_scale = strategy.roulette_scale;
         Ok(())
     }
 

@@ -1,6 +1,6 @@
 //! What both GPU engines share: the scene's buffers, the radiance of a batch, its sums, its way to the host.
 
-use super::{Batch, RenderError, RenderStats};
+use super::{Batch, RenderError, RenderStats, Strategy};
 use crate::film::{BlockSum, Film};
 use crate::gpu::buffers::Buffers;
 use crate::gpu::device::Gpu;
@@ -26,8 +26,11 @@ const BATCH_PATHS_SOFTWARE: u64 = 1 << 18;
 /// A GPU with a scene on it, and everything that does not depend on how paths are scheduled.
 pub struct GpuFilm {
     pub gpu: Gpu,
+    /// What the kernels in use can do.
     pub key: KernelKey,
     pub kernels: HashMap<Stage, Kernel>,
+    /// Kernels for the other strategy, where one does without the table.
+    spare: Option<(KernelKey, HashMap<Stage, Kernel>)>,
     pub buffers: Buffers,
     pub uniforms: Uniforms,
     pub stats: RenderStats,
@@ -42,6 +45,28 @@ pub struct GpuFilm {
     lessons: LessonLayout,
 }
 
+/// What the kernels of a render must be able to do: its own, and where plain tracing is tried too, that.
+#[derive(Clone, Copy, Debug)]
+pub struct Keys {
+    pub own: KernelKey,
+    pub plain: Option<KernelKey>,
+}
+
+/// The kernels of the stages that `key` needs.
+fn compile_stages(
+    gpu: &Gpu,
+    key: &KernelKey,
+    stages: &[Stage],
+    schedule: Schedule,
+) -> Result<HashMap<Stage, Kernel>, RenderError> {
+    let mut kernels = HashMap::new();
+    for &stage in stages {
+        let wgsl = link(stage, key, schedule).map_err(GpuError::from)?;
+        kernels.insert(stage, gpu.kernel(&stage.name(), &wgsl)?);
+    }
+    Ok(kernels)
+}
+
 /// The GPU's own clock around each submission, where it has one.
 struct Clock {
     queries: Option<wgpu::QuerySet>,
@@ -53,16 +78,15 @@ impl GpuFilm {
         gpu: Gpu,
         scene: &CompiledScene,
         uniforms: Uniforms,
-        key: KernelKey,
-        stages: &[Stage],
+        keys: Keys,
+        stages: impl Fn(&KernelKey) -> Vec<Stage>,
         schedule: Schedule,
         engine: &str,
     ) -> Result<GpuFilm, RenderError> {
-        let mut kernels = HashMap::new();
-        for &stage in stages {
-            let wgsl = link(stage, &key, schedule).map_err(GpuError::from)?;
-            kernels.insert(stage, gpu.kernel(&stage.name(), &wgsl)?);
-        }
+        let compile = |key: &KernelKey| compile_stages(&gpu, key, &stages(key), schedule);
+        let key = keys.own;
+        let kernels = compile(&key)?;
+        let spare = keys.plain.map(|plain| Ok::<_, RenderError>((plain, compile(&plain)?))).transpose()?;
         let pixels = u64::from(uniforms.width) * u64::from(uniforms.height);
         let batch = match (gpu.summary.software, gpu.summary.integrated) {
             (true, _) => BATCH_PATHS_SOFTWARE,
@@ -80,12 +104,13 @@ impl GpuFilm {
                 engine: engine.to_string(),
                 device: gpu.summary.name.clone(),
                 kernel_key: key.to_string(),
-                kernels: stages.iter().map(|s| s.name()).collect(),
+                kernels: stages(&key).iter().map(|s| s.name()).collect(),
                 ..Default::default()
             },
             gpu,
             key,
             kernels,
+            spare,
             buffers: Buffers::default(),
             uniforms,
             max_paths,
@@ -101,7 +126,27 @@ impl GpuFilm {
 
     /// Whether any kernel binds a buffer of this name.
     pub fn is_bound(&self, name: &str) -> bool {
-        self.kernels.values().any(|k| k.bindings.iter().any(|(_, bound)| bound == name))
+        let spare = self.spare.iter().flat_map(|(_, kernels)| kernels.values());
+        self.kernels.values().chain(spare).any(|k| k.bindings.iter().any(|(_, bound)| bound == name))
+    }
+
+    /// Whether anything may be learnt, by the kernels in use or the others.
+    pub fn may_learn(&self) -> bool {
+        self.key.guide.is_some() || self.spare.as_ref().is_some_and(|(key, _)| key.guide.is_some())
+    }
+
+    /// Takes the kernels for a strategy; true if others were in use.
+    pub fn set_strategy(&mut self, strategy: Strategy) -> bool {
+        self.uniforms.roulette_scale = strategy.roulette_scale;
+        if strategy.informed == self.key.guide.is_some() {
+            return false;
+        }
+        if let Some((key, kernels)) = &mut self.spare {
+            std::mem::swap(&mut self.key, key);
+            std::mem::swap(&mut self.kernels, kernels);
+        }
+        self.resolve_bind = self.buffers.size("block_sums").map(|_| self.bind(Stage::Resolve, &[]));
+        true
     }
 
     fn upload_scene(&mut self, scene: &CompiledScene) -> Result<(), RenderError> {

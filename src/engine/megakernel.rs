@@ -1,11 +1,10 @@
 //! The megakernel engine: a whole path per invocation. Its dispatches cover ranges of paths.
 
-use super::gpu_film::{GpuFilm, Pacer, grid};
+use super::gpu_film::{GpuFilm, Keys, Pacer, grid};
 use super::tracer::Tracer;
 use super::{Batch, CancelToken, EngineKind, RenderError};
 use crate::film::Film;
 use crate::gpu::device::Gpu;
-use crate::gpu::key::KernelKey;
 use crate::gpu::stage::{Counter, Schedule, Stage, counter_words};
 use crate::scene::compiled::{CompiledScene, Uniforms};
 use wgpu::BufferUsages;
@@ -17,17 +16,12 @@ pub struct MegakernelEngine {
 }
 
 impl MegakernelEngine {
-    pub fn new(
-        gpu: Gpu,
-        scene: &CompiledScene,
-        uniforms: Uniforms,
-        key: KernelKey,
-    ) -> Result<Self, RenderError> {
+    pub fn new(gpu: Gpu, scene: &CompiledScene, uniforms: Uniforms, keys: Keys) -> Result<Self, RenderError> {
         let first = if gpu.summary.software { 1 << 13 } else { 1 << 16 };
-        let stages = Stage::megakernel();
-        let mut gpu = GpuFilm::new(gpu, scene, uniforms, key, &stages, Schedule::Fused, "megakernel")?;
+        let mut gpu =
+            GpuFilm::new(gpu, scene, uniforms, keys, |_| Stage::megakernel(), Schedule::Fused, "megakernel")?;
         let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC | BufferUsages::COPY_DST;
-        gpu.buffers.create(&gpu.gpu, "counters", 4 * u64::from(counter_words(&key)), usage)?;
+        gpu.buffers.create(&gpu.gpu, "counters", 4 * u64::from(counter_words(&keys.own)), usage)?;
         Ok(MegakernelEngine { gpu, bind: None, pacer: Pacer::new(first) })
     }
 }

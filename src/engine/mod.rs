@@ -9,8 +9,11 @@ mod gpu_film;
 mod guided;
 mod megakernel;
 mod options;
+mod pilot;
 mod renderer;
+mod show;
 mod stats;
+mod strategy;
 mod tracer;
 mod wavefront;
 
@@ -20,7 +23,9 @@ pub use batch::Batch;
 pub use error::RenderError;
 pub use options::{EngineChoice, EngineKind, RenderOptions};
 pub use renderer::Renderer;
-pub use stats::RenderStats;
+pub use show::GuideView;
+pub use stats::{GuideStats, RenderStats};
+pub use strategy::Strategy;
 
 use crate::film::Film;
 use crate::guiding::{GuideTable, Lessons};
@@ -52,6 +57,9 @@ pub trait Engine: Send {
     /// the film's counts say how much that is.
     fn render(&mut self, range: Range<u32>, film: &mut Film, cancel: &CancelToken)
     -> Result<(), RenderError>;
+
+    /// Traces paths this way from now on.
+    fn set_strategy(&mut self, strategy: Strategy) -> Result<(), RenderError>;
 
     /// Puts a table in place: from now on it guides paths, and what they teach is added up from zero.
     fn set_guide(&mut self, table: GuideTable) -> Result<(), RenderError>;

@@ -2,12 +2,13 @@
 
 use super::RenderError;
 use crate::gpu::stage::Schedule;
-use crate::guiding::GuideOptions;
+use crate::guiding::{GuideMode, GuideOptions, GuideProblem, Learner};
 use crate::random::Sampler;
 use crate::scene::{Scene, check_image_size};
 use crate::transport::estimators::Estimators;
 use crate::transport::roulette::Roulette;
 use std::fmt;
+use std::sync::Arc;
 
 /// The engines, as they can be asked for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -38,6 +39,9 @@ impl fmt::Display for EngineKind {
     }
 }
 
+/// Scale of learnt roulette that suits most scenes.
+const LEARNT_SCALE: f32 = 2.0;
+
 /// Options of a render; `None` means what the scene says.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RenderOptions {
@@ -55,6 +59,9 @@ pub struct RenderOptions {
     pub roulette_scale: Option<f32>,
     /// Whether and how paths are guided by what earlier ones found.
     pub guide: GuideOptions,
+    /// What was learnt before, to start from; its mode must be the one asked for. It may be of another scene
+    /// ([`Learner::scene`] tells): it steers paths, and the image is right all the same.
+    pub guide_table: Option<Arc<Learner>>,
     /// Levels of a path, 1 to 64: 1 shows only what emits, 2 adds direct light.
     pub max_bounces: Option<u32>,
     pub sampler: Sampler,
@@ -69,13 +76,20 @@ pub struct RenderOptions {
 impl RenderOptions {
     /// The estimators of a render of `scene` with these options.
     pub fn estimators(&self, scene: &Scene) -> Estimators {
+        // A guide's gain drowns in the noise of roulette by throughput (Vorba & Křivánek 2016).
+        let guided = !matches!(self.guide.mode, GuideMode::Off) && !self.guide.mode.is_bansal();
+        let roulette = self.roulette.unwrap_or(match scene.defaults.roulette {
+            true if guided => Roulette::Learnt,
+            true => Roulette::Throughput,
+            false => Roulette::Off,
+        });
         Estimators {
             direct_light: self.direct_light.unwrap_or(scene.defaults.direct_light),
-            roulette: self.roulette.unwrap_or(match scene.defaults.roulette {
-                true => Roulette::Throughput,
-                false => Roulette::Off,
+            roulette,
+            roulette_scale: self.roulette_scale.unwrap_or(match roulette {
+                Roulette::Learnt => LEARNT_SCALE,
+                _ => 1.0,
             }),
-            roulette_scale: self.roulette_scale.unwrap_or(1.0),
             guide: self.guide.mode,
             sampler: self.sampler,
             max_bounces: self.max_bounces.unwrap_or(scene.defaults.max_bounces),
@@ -106,8 +120,61 @@ impl RenderOptions {
         {
             return refuse("pool", pool, "choose 256 to 67108864 rays");
         }
+        if let Some(scale) = self.roulette_scale
+            && !(scale.is_finite() && scale > 0.0)
+        {
+            return Err(RenderError::Option {
+                option: "roulette_scale",
+                value: scale.to_string(),
+                remedy: "choose a finite number above 0".to_string(),
+            });
+        }
+        if let Some(GuideProblem { option, value, remedy }) = self.guide.problem() {
+            return Err(RenderError::Option { option, value, remedy: remedy.to_string() });
+        }
+        if self.roulette == Some(Roulette::Learnt) && self.guide.mode.is_bansal() {
+            return Err(RenderError::Option {
+                option: "roulette",
+                value: Roulette::Learnt.to_string(),
+                remedy: format!(
+                    "guide {} does not learn how much light there is; choose roulette throughput, or guide adaptive",
+                    self.guide.mode
+                ),
+            });
+        }
         let (width, height) = self.size.unwrap_or((scene.camera.width, scene.camera.height));
         check_image_size(width.into(), height.into())?;
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Name and message of the option that is refused.
+    fn refused(options: RenderOptions) -> Option<(&'static str, String)> {
+        let scene = Scene::builder("nothing").camera([0.0; 3], [0.0, 0.0, -1.0], 45.0).build().unwrap();
+        match options.validate(&scene).err()? {
+            RenderError::Option { option, value, remedy } => Some((option, format!("{value}: {remedy}"))),
+            other => panic!("{other}"),
+        }
+    }
+
+    #[test]
+    fn guides_are_checked_in_the_library_too() {
+        let with = |guide: GuideOptions, roulette| RenderOptions { guide, roulette, ..Default::default() };
+        let guide = GuideOptions { mode: GuideMode::Adaptive, ..Default::default() };
+        assert_eq!(refused(with(guide, Some(Roulette::Learnt))), None);
+        let deep = refused(with(GuideOptions { depth: 8, ..guide }, None)).unwrap();
+        assert_eq!(deep, ("guide_depth", "8: choose 0 to 7".to_string()));
+        let bansal = GuideOptions { mode: GuideMode::Bansal, ..guide };
+        assert_eq!(refused(with(bansal, None)), None);
+        let (option, message) = refused(with(bansal, Some(Roulette::Learnt))).unwrap();
+        assert!(option == "roulette" && message.contains("guide bansal does not learn"), "{message}");
+        for scale in [0.0, -1.0, f32::NAN, f32::INFINITY] {
+            let options = RenderOptions { roulette_scale: Some(scale), ..Default::default() };
+            assert_eq!(refused(options).map(|(option, _)| option), Some("roulette_scale"));
+        }
     }
 }

@@ -3,15 +3,20 @@
 use super::auto::preferred_engine;
 use super::cpu::CpuEngine;
 use super::features::features;
+use super::gpu_film::Keys;
 use super::guided::Guided;
 use super::megakernel::MegakernelEngine;
+use super::show::guide_layers;
+use super::strategy::plain_strategy;
 use super::wavefront::WavefrontEngine;
 use super::{
-    CancelToken, Engine, EngineChoice, EngineKind, Estimators, RenderError, RenderOptions, RenderStats,
+    CancelToken, Engine, EngineChoice, EngineKind, Estimators, GuideStats, RenderError, RenderOptions,
+    RenderStats,
 };
-use crate::film::{Film, Image};
+use crate::film::{Film, GuideLayers, Image};
 use crate::gpu::device::Gpu;
 use crate::gpu::key::KernelKey;
+use crate::guiding::{GuideMode, Learner};
 use crate::scene::Scene;
 use crate::scene::compiled::{CompiledScene, Uniforms};
 
@@ -119,7 +124,14 @@ impl Renderer {
         metadata.set("sampler", format!("{:?}", self.estimators.sampler).to_lowercase());
         metadata.set("direct_light", self.estimators.direct_light);
         metadata.set("roulette", self.estimators.roulette);
-        metadata.set("guide", self.estimators.guide);
+        let guide = self.estimators.guide;
+        match self.learner().filter(|_| guide.is_biased()) {
+            Some(learner) => {
+                metadata.set("guide", format!("{guide} (biased)"));
+                metadata.set("guide_rule", rule(learner));
+            }
+            None => metadata.set("guide", guide),
+        }
         metadata.set("fingerprint", format!("{:016x}", self.compiled.fingerprint(&self.uniforms)));
         metadata.set("engine", self.engine.kind());
         metadata.set("device", self.engine.device());
@@ -153,8 +165,27 @@ impl Renderer {
     }
 
     pub fn stats(&self) -> RenderStats {
-        self.engine.stats()
+        RenderStats { guide: self.learner().map(GuideStats::new), ..self.engine.stats() }
     }
+
+    /// What was learnt in the passes that are finished; None if nothing is to be learnt.
+    pub fn learner(&self) -> Option<&Learner> {
+        self.guided.as_ref().map(Guided::learner)
+    }
+
+    /// What was learnt about the surfaces that the camera sees, which costs 16 further paths a pixel on the CPU; None if
+    /// nothing is to be learnt.
+    pub fn guide_layers(&self) -> Option<GuideLayers> {
+        self.learner().map(|learner| guide_layers(&self.compiled, &self.uniforms, learner))
+    }
+}
+
+/// What a biased guide's image depends on.
+fn rule(learner: &Learner) -> String {
+    let (options, cell) = (learner.options(), learner.cell_size());
+    let alpha = options.alpha.map_or("default".to_string(), |alpha| alpha.to_string());
+    let (discount, threshold) = (options.discount, options.threshold);
+    format!("cell {cell}, alpha {alpha}, discount {discount}, threshold {threshold}")
 }
 
 fn build_engine(
@@ -169,10 +200,15 @@ fn build_engine(
         Ok(Box::new(engine) as Box<dyn Engine>)
     };
     let key = KernelKey::new(compiled, &estimators);
+    let plain = plain_strategy(options, estimators).map(|plain| {
+        let estimators = Estimators { guide: GuideMode::Off, roulette: plain.roulette, ..estimators };
+        KernelKey::new(compiled, &estimators)
+    });
+    let keys = Keys { own: key, plain };
     let on_gpu = |gpu: Gpu, kind: EngineKind| -> Result<Box<dyn Engine>, RenderError> {
         Ok(match kind {
-            EngineKind::Megakernel => Box::new(MegakernelEngine::new(gpu, compiled, uniforms, key)?),
-            _ => Box::new(WavefrontEngine::new(gpu, compiled, uniforms, key, options)?),
+            EngineKind::Megakernel => Box::new(MegakernelEngine::new(gpu, compiled, uniforms, keys)?),
+            _ => Box::new(WavefrontEngine::new(gpu, compiled, uniforms, keys, options)?),
         })
     };
     let adapter = options.adapter.as_deref();

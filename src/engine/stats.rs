@@ -1,5 +1,6 @@
 //! What a render built and spent.
 
+use crate::guiding::Learner;
 use std::collections::BTreeMap;
 
 /// Figures for `--stats` and for tests.
@@ -25,4 +26,43 @@ pub struct RenderStats {
     pub submissions: u64,
     /// Levels recorded by the wavefront engine.
     pub iterations: u64,
+    /// What was learnt; absent where nothing is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub guide: Option<GuideStats>,
+}
+
+/// Figures about what was learnt.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
+pub struct GuideStats {
+    /// Kind of table.
+    pub mode: String,
+    /// Edge of a base cell.
+    pub cell_size: f32,
+    /// Cells that exist.
+    pub cells: usize,
+    /// Quadtree nodes that exist.
+    pub nodes: usize,
+    /// Bytes of the table, but for the estimates of the pixels.
+    pub table_bytes: u64,
+    /// Bytes of the sums of a pass.
+    pub sums_bytes: u64,
+    /// Lessons taken in, those of a loaded table included.
+    pub passes: u32,
+    /// Samples per pixel that taught, likewise.
+    pub learning_samples: u64,
+}
+
+impl GuideStats {
+    pub(super) fn new(learner: &Learner) -> GuideStats {
+        GuideStats {
+            mode: learner.mode().to_string(),
+            cell_size: learner.cell_size(),
+            cells: learner.cells(),
+            nodes: learner.nodes(),
+            table_bytes: learner.table_bytes(),
+            sums_bytes: learner.sums_bytes(),
+            passes: learner.passes(),
+            learning_samples: learner.samples(),
+        }
+    }
 }

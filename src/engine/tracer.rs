@@ -2,7 +2,7 @@
 
 use super::batch::{batch_samples, batches};
 use super::gpu_film::GpuFilm;
-use super::{Batch, CancelToken, Engine, EngineKind, RenderError, RenderStats};
+use super::{Batch, CancelToken, Engine, EngineKind, RenderError, RenderStats, Strategy};
 use crate::film::Film;
 use crate::guiding::{GuideTable, Lessons};
 use std::ops::Range;
@@ -48,6 +48,13 @@ impl<T: Tracer> Engine for T {
         }
         self.gpu_mut().stats.seconds += start.elapsed().as_secs_f64();
         traced
+    }
+
+    fn set_strategy(&mut self, strategy: Strategy) -> Result<(), RenderError> {
+        if self.gpu_mut().set_strategy(strategy) {
+            self.unbind();
+        }
+        Ok(())
     }
 
     fn set_guide(&mut self, table: GuideTable) -> Result<(), RenderError> {

@@ -1,14 +1,14 @@
 //! The wavefront engine: a kernel per stage, rays in explicit bounded queues. The host records levels; the queues'
 //! lengths stay on the GPU, where they become indirect arguments. docs/KERNELS.md tells the stages' contracts.
 
-use super::gpu_film::{GpuFilm, Pacer};
+use super::gpu_film::{GpuFilm, Keys, Pacer};
 use super::tracer::Tracer;
 use super::{Batch, CancelToken, EngineKind, RenderError, RenderOptions};
 use crate::film::Film;
 use crate::gpu::device::Gpu;
 use crate::gpu::error::GpuError;
 use crate::gpu::key::KernelKey;
-use crate::gpu::stage::{Counter, Stage, argument_words, counter_words, queue_names};
+use crate::gpu::stage::{Counter, Schedule, Stage, argument_words, counter_words, queue_names};
 use crate::guiding::{Trail, Transition};
 use crate::scene::compiled::{CompiledScene, Uniforms};
 use crate::transport::items::{HitItem, RayItem, ShadowItem};
@@ -21,7 +21,8 @@ const POOL_SOFTWARE: u32 = 1 << 16;
 
 pub struct WavefrontEngine {
     gpu: GpuFilm,
-    /// Stages of a level, in order; the last of `gpu.kernels`, resolve, is not among them.
+    schedule: Schedule,
+    /// Stages of a level of the kernels in use, in order; resolve is not among them.
     level: Vec<Stage>,
     /// Bind groups of each stage of a level when it reads the first ray queue, and when it reads the second.
     binds: Vec<[wgpu::BindGroup; 2]>,
@@ -36,7 +37,7 @@ impl WavefrontEngine {
         gpu: Gpu,
         scene: &CompiledScene,
         uniforms: Uniforms,
-        key: KernelKey,
+        keys: Keys,
         options: &RenderOptions,
     ) -> Result<Self, RenderError> {
         let pool = options.pool.unwrap_or(match (gpu.summary.software, gpu.summary.integrated) {
@@ -45,11 +46,12 @@ impl WavefrontEngine {
             _ => POOL,
         });
         let schedule = options.schedule.unwrap_or_default();
-        let mut level = Stage::wavefront(&key, schedule);
-        let gpu = GpuFilm::new(gpu, scene, uniforms, key, &level, schedule, "wavefront")?;
-        level.retain(|&stage| stage != Stage::Resolve);
+        let stages = |key: &KernelKey| Stage::wavefront(key, schedule);
+        let gpu = GpuFilm::new(gpu, scene, uniforms, keys, stages, schedule, "wavefront")?;
         let expected_levels = uniforms.max_bounces + 1;
-        Ok(WavefrontEngine { gpu, level, binds: Vec::new(), pool, pacer: Pacer::new(1), expected_levels })
+        let level = Vec::new();
+        let pacer = Pacer::new(1);
+        Ok(WavefrontEngine { gpu, schedule, level, binds: Vec::new(), pool, pacer, expected_levels })
     }
 
     /// Rays per queue for a batch: the pool, less if the batch is smaller or a binding can't hold it.
@@ -64,7 +66,7 @@ impl WavefrontEngine {
     fn create_queues(&mut self) -> Result<(), RenderError> {
         let capacity = u64::from(self.gpu.uniforms.capacity);
         // Where something is learnt, rays and shadow rays have a fourth row: what their path remembers.
-        let trail = if self.gpu.key.guide.is_some() { size_of::<Trail>() as u64 } else { 0 };
+        let trail = if self.gpu.may_learn() { size_of::<Trail>() as u64 } else { 0 };
         let queue_bytes = [
             ("rays_a", size_of::<RayItem>() as u64 + trail, true),
             ("rays_b", size_of::<RayItem>() as u64 + trail, true),
@@ -97,6 +99,8 @@ impl WavefrontEngine {
 
     /// Binds each stage for both roles of the two ray queues.
     fn bind_stages(&mut self) {
+        self.level = Stage::wavefront(&self.gpu.key, self.schedule);
+        self.level.retain(|&stage| stage != Stage::Resolve);
         let bind = |stage: Stage, names: &[(&str, &str)]| self.gpu.bind(stage, names);
         self.binds = self
             .level

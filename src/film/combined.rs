@@ -61,6 +61,11 @@ impl CombinedFilm {
         }
     }
 
+    /// Relative variance of a single sample in the last pass.
+    pub fn variance(&self) -> f64 {
+        0.5 * (self.variance[0] + self.variance[1])
+    }
+
     /// Whether any pixel got samples since the last pass ended.
     fn has_news(&self, film: &Film) -> bool {
         film.pixels().iter().zip(&self.before).any(|(now, before)| now.count > before.count)

@@ -8,9 +8,9 @@ use std::path::PathBuf;
 pub enum ImageError {
     #[error("cannot write \"{path}\": {found}; name the image .exr (linear, with all layers) or .png (8 bits)", path = path.display())]
     UnknownExtension { path: PathBuf, found: String },
-    #[error("cannot write \"{}\": folder \"{}\" does not exist; create it or choose another -o", path.display(), folder.display())]
+    #[error("cannot write \"{}\": folder \"{}\" does not exist; create it or choose another place", path.display(), folder.display())]
     MissingFolder { path: PathBuf, folder: PathBuf },
-    #[error("cannot write \"{}\": \"{}\" is not a folder; choose another -o", path.display(), folder.display())]
+    #[error("cannot write \"{}\": \"{}\" is not a folder; choose another place", path.display(), folder.display())]
     NotAFolder { path: PathBuf, folder: PathBuf },
     #[error("cannot write \"{}\": it is a folder; name a file in it", path.display())]
     TargetIsFolder { path: PathBuf },
@@ -30,11 +30,13 @@ pub enum ImageError {
 
 fn write_remedy(source: &io::Error) -> &'static str {
     match source.kind() {
-        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => "free some space or choose another -o",
-        io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => {
-            "make the folder writable or choose another -o"
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
+            "free some space or choose another place"
         }
-        _ => "choose another -o",
+        io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => {
+            "make the folder writable or choose another place"
+        }
+        _ => "choose another place",
     }
 }
 

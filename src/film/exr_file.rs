@@ -1,6 +1,6 @@
 //! OpenEXR: linear f32, lossless (ZIP, 16 rows a block), one part.
-//! Channels: R G B; stderr.R/G/B; samples; albedo.R/G/B; normal.X/Y/Z; depth.Z. Metadata: the text attribute `qtracer`,
-//! JSON `[["scene","cornell-box"],["seed","0"],…]`.
+//! Channels: R G B; stderr.R/G/B; samples; albedo.R/G/B; normal.X/Y/Z; depth.Z; guide.illumination, guide.direction.X/Y/Z,
+//! guide.cell, guide.entropy. Metadata: the text attribute `qtracer`, JSON `[["scene","cornell-box"],["seed","0"],…]`.
 
 use std::collections::HashMap;
 use std::io::{Cursor, Seek, Write};
@@ -11,7 +11,7 @@ use exr::prelude::{
 };
 
 use super::write::EncodeError;
-use super::{Features, Image, Metadata};
+use super::{Features, GuideLayers, Image, Metadata};
 
 /// Holds our metadata.
 const ATTRIBUTE: &str = "qtracer";
@@ -36,9 +36,11 @@ pub(super) fn encode(out: &mut (impl Write + Seek), image: &Image) -> Result<(),
 
 fn to_channels(image: &Image) -> SmallVec<[AnyChannel<FlatSamples>; 4]> {
     let mut list = SmallVec::new();
-    let mut add = |name: &str, values: Vec<f32>| list.push(AnyChannel::new(name, FlatSamples::F32(values)));
     let mut add_three = |names: [&str; 3], values: &[[f32; 3]]| {
-        (0..3).for_each(|i| add(names[i], values.iter().map(|v| v[i]).collect()));
+        for (i, name) in names.into_iter().enumerate() {
+            let channel = values.iter().map(|v| v[i]).collect();
+            list.push(AnyChannel::new(name, FlatSamples::F32(channel)));
+        }
     };
     add_three(["R", "G", "B"], &image.rgb);
     if let Some(errors) = &image.standard_error {
@@ -47,10 +49,20 @@ fn to_channels(image: &Image) -> SmallVec<[AnyChannel<FlatSamples>; 4]> {
     if let Some(features) = &image.features {
         add_three(["albedo.R", "albedo.G", "albedo.B"], &features.albedo);
         add_three(["normal.X", "normal.Y", "normal.Z"], &features.normal);
-        add("depth.Z", features.depth.clone());
     }
-    if let Some(samples) = &image.samples {
-        add("samples", samples.clone());
+    if let Some(guide) = &image.guide {
+        add_three(["guide.direction.X", "guide.direction.Y", "guide.direction.Z"], &guide.direction);
+    }
+    let (features, guide) = (image.features.as_ref(), image.guide.as_ref());
+    let singles = [
+        ("depth.Z", features.map(|f| &f.depth)),
+        ("guide.illumination", guide.map(|g| &g.illumination)),
+        ("guide.cell", guide.map(|g| &g.cell)),
+        ("guide.entropy", guide.map(|g| &g.entropy)),
+        ("samples", image.samples.as_ref()),
+    ];
+    for (name, values) in singles {
+        list.extend(values.map(|values| AnyChannel::new(name, FlatSamples::F32(values.clone()))));
     }
     list
 }
@@ -167,9 +179,15 @@ fn from_channels(channels: &Channels, prefix: &str, width: usize, height: usize)
         let (albedo, normal) = (three("albedo.", colours)?, three("normal.", ["X", "Y", "Z"])?);
         Some(Features { albedo, normal, depth: one("depth.Z")? })
     };
+    let guide = || {
+        let direction = three("guide.direction.", ["X", "Y", "Z"])?;
+        let (illumination, cell) = (one("guide.illumination")?, one("guide.cell")?);
+        Some(GuideLayers { illumination, direction, cell, entropy: one("guide.entropy")? })
+    };
     let mut image = Image::new(width.try_into().ok()?, height.try_into().ok()?, three(prefix, colours)?);
     image.standard_error = three("stderr.", colours);
     image.samples = one("samples");
     image.features = features();
+    image.guide = guide();
     Some(image)
 }

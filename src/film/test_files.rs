@@ -1,6 +1,6 @@
 //! Images and numbers for the tests of this folder.
 
-use super::{Features, Image};
+use super::{Features, GuideLayers, Image};
 pub use crate::stats::test_images::Rng;
 
 fn triples(rng: &mut Rng, count: usize) -> Vec<[f32; 3]> {
@@ -19,6 +19,13 @@ pub fn full_image(width: u32, height: u32) -> Image {
     let depth = (0..count).map(|_| rng.uniform_f32()).collect();
     image.features =
         Some(Features { albedo: triples(&mut rng, count), normal: triples(&mut rng, count), depth });
+    let ones = |rng: &mut Rng| (0..count).map(|_| rng.uniform_f32()).collect();
+    image.guide = Some(GuideLayers {
+        illumination: ones(&mut rng),
+        direction: triples(&mut rng, count),
+        cell: (0..count).map(|i| i as f32 - 1.0).collect(),
+        entropy: ones(&mut rng),
+    });
     image.metadata.set("scene", "scenes/cornell.toml");
     image.metadata.set("seed", 42);
     image.metadata.set("author", "Ærøskøbing ✓ 日本");

@@ -81,14 +81,14 @@ impl EncodeError {
 }
 
 /// A temporary file beside the target. Dropped, it is gone; published, it is the target.
-struct Draft {
+pub(crate) struct Draft {
     target: PathBuf,
     draft: PathBuf,
-    writer: BufWriter<File>,
+    pub(crate) writer: BufWriter<File>,
 }
 
 impl Draft {
-    fn new(path: &Path) -> Result<Draft, ImageError> {
+    pub(crate) fn new(path: &Path) -> Result<Draft, ImageError> {
         let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_path_buf());
         if target.is_dir() {
             return Err(ImageError::TargetIsFolder { path: path.into() });
@@ -109,7 +109,7 @@ impl Draft {
     }
 
     /// Everything on disk, then the name: after a crash the target is the old image or the new one.
-    fn publish(mut self) -> io::Result<()> {
+    pub(crate) fn publish(mut self) -> io::Result<()> {
         self.writer.flush()?;
         self.writer.get_ref().sync_all()?;
         fs::rename(&self.draft, &self.target)

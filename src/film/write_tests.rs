@@ -142,7 +142,7 @@ fn a_full_disk_is_an_error_wherever_it_strikes() {
             let mut disk = SmallDisk(Cursor::new(Vec::new()), room);
             let error = encode(&mut disk, format, &full_image(60, 60), &WriteOptions::default()).unwrap_err();
             let message = error.at(Path::new("x.exr")).to_string();
-            assert!(message.contains("free some space or choose another -o"), "{message}");
+            assert!(message.contains("free some space or choose another place"), "{message}");
         }
     }
 }
@@ -152,7 +152,7 @@ fn a_missing_folder_is_named_with_its_remedy() {
     let error = check_writable(Path::new("no/such/folder/y.exr")).unwrap_err().to_string();
     assert_eq!(
         error,
-        "cannot write \"no/such/folder/y.exr\": folder \"no/such/folder\" does not exist; create it or choose another -o"
+        "cannot write \"no/such/folder/y.exr\": folder \"no/such/folder\" does not exist; create it or choose another place"
     );
 }
 

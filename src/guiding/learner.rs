@@ -19,6 +19,9 @@ const SPLIT_SHARE: f32 = 0.005;
 const SPLIT_VISITS: f64 = 20000.0;
 /// Visits with which a cell's guide is trusted half.
 const TRUSTED_VISITS: f32 = 64.0;
+/// Bytes of a cell and of a quadtree node, in the table and in the sums of a pass.
+pub(super) const CELL_BYTES: u64 = 16 * CELL_ROWS as u64 + 128;
+pub(super) const NODE_BYTES: u64 = 48;
 /// Fixed-point units per unit of radiance, as a power of two below the brightest emitter.
 const UNIT_BITS: i32 = 36;
 
@@ -29,31 +32,39 @@ fn env(n: &str, d: f64) -> f64 {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum LearnerError {
     #[error(
-        "guiding would need {bytes} bytes for its base grid, more than the {limit} allowed; choose larger cells or allow more memory"
+        "guiding would need {bytes} bytes for its base grid, more than the {limit} allowed; choose larger cells (--guide-cell) or allow more memory (--guide-memory)"
     )]
     Memory { bytes: u64, limit: u64 },
+    #[error(
+        "what was learnt before takes {bytes} bytes, more than the {limit} allowed; allow more memory (--guide-memory) or learn anew"
+    )]
+    LearntMemory { bytes: u64, limit: u64 },
+    #[error(
+        "what was learnt before is for guide {learnt}, but {wanted} is asked for; choose guide {learnt} or learn anew"
+    )]
+    Mode { learnt: GuideMode, wanted: GuideMode },
 }
 
 /// What a cell knows, in the order in which it lies in the table.
 #[derive(Clone, Debug, Default, PartialEq)]
-struct CellState {
+pub(super) struct CellState {
     /// Per octant: adaptive irradiance, else mean radiance.
-    octants: [f32; 8],
+    pub(super) octants: [f32; 8],
     /// Weight of what was learnt: per octant, except adaptive, where all are the cell's.
-    visits: [f32; 8],
+    pub(super) visits: [f32; 8],
     /// Octants with a quadtree: a bit each, below the position of the first in `nodes`.
-    roots: u32,
+    pub(super) roots: u32,
     /// Breadth first, so that children lie next to each other.
-    nodes: Vec<NodeState>,
+    pub(super) nodes: Vec<NodeState>,
     /// Cuts of a base cell that led here.
-    level: u32,
+    pub(super) level: u32,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct NodeState {
-    energies: [f32; 4],
+pub(super) struct NodeState {
+    pub(super) energies: [f32; 4],
     /// As in [`Node`], relative to the cell's first node.
-    children: u32,
+    pub(super) children: u32,
 }
 
 /// Position of child `i` of a node or cell whose mask has `bits` bits.
@@ -66,16 +77,25 @@ fn child_of(children: u32, bits: u32, i: u32) -> Option<usize> {
 /// Everything that was learnt, between passes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Learner {
-    options: GuideOptions,
-    uniforms: GuideUniforms,
+    pub(super) options: GuideOptions,
+    pub(super) uniforms: GuideUniforms,
     /// As in the table.
-    index: Vec<u32>,
+    pub(super) index: Vec<u32>,
     /// Which word of the index leads to each cell.
-    word_of: Vec<u32>,
-    cells: Vec<CellState>,
+    pub(super) word_of: Vec<u32>,
+    pub(super) cells: Vec<CellState>,
     /// Where each cell's nodes begin in the table that is out.
-    first_node: Vec<u32>,
-    passes: u32,
+    pub(super) first_node: Vec<u32>,
+    pub(super) passes: u32,
+    /// Samples per pixel that taught.
+    pub(super) samples: u64,
+    /// Fingerprint of the scene that it learns about.
+    pub(super) scene: u64,
+}
+
+/// Fixed-point units per unit of radiance where nothing is brighter than `brightest`.
+pub(super) fn fixed_point_unit(brightest: f32) -> f32 {
+    (UNIT_BITS as f32 - brightest.max(1e-30).log2().ceil()).exp2()
 }
 
 impl Learner {
@@ -106,7 +126,7 @@ impl Learner {
             cells_y: y,
             cells_z: z,
             sectors,
-            unit: (UNIT_BITS as f32 - brightest.max(1e-30).log2().ceil()).exp2(),
+            unit: fixed_point_unit(brightest),
             mixture: options.mixture,
             lift: if bansal { 0.0 } else { 0.037 * size },
             threshold: options.threshold,
@@ -126,6 +146,8 @@ impl Learner {
             cells: Vec::new(),
             first_node: Vec::new(),
             passes: 0,
+            samples: 0,
+            scene: 0,
         })
     }
 
@@ -183,15 +205,14 @@ impl Learner {
             );
         }
         self.passes += 1;
+        self.samples += u64::from(samples);
     }
 
     /// Cuts cells that were met more than `limit` times into those of their eighths that hold surfaces.
     fn cut_cells(&mut self, lessons: &Lessons, visits: &[f64], limit: f64) {
+        let mut bytes = self.bytes();
         for (cell, &count) in visits.iter().enumerate() {
-            if count <= limit
-                || self.cells[cell].level >= MAX_CELL_LEVELS
-                || self.bytes() > self.options.memory
-            {
+            if count <= limit || self.cells[cell].level >= MAX_CELL_LEVELS || bytes > self.options.memory {
                 continue;
             }
             let met = &lessons.visits[8 * cell..8 * cell + 8];
@@ -200,6 +221,8 @@ impl Learner {
             state.level += 1;
             state.visits.iter_mut().for_each(|v| *v /= parts.len().max(1) as f32);
             let state = state.clone();
+            let copies = parts.len().saturating_sub(1) as u64;
+            bytes += 32 + copies * (CELL_BYTES + NODE_BYTES * state.nodes.len() as u64);
             let block = self.index.len() as u32;
             let parent = self.word_of[cell] as usize;
             self.index[parent] = FINER | block;
@@ -212,10 +235,25 @@ impl Learner {
         }
     }
 
-    /// Bytes of the table and its sums, roughly.
+    /// Bytes of the table and its sums, but for the estimates of the pixels.
     pub fn bytes(&self) -> u64 {
-        let cells = self.cells.len() as u64;
-        4 * self.index.len() as u64 + (16 * u64::from(CELL_ROWS) + 80) * cells + 48 * self.nodes() as u64
+        self.table_bytes() + self.sums_bytes()
+    }
+
+    /// Bytes of the table, but for the estimates of the pixels.
+    pub fn table_bytes(&self) -> u64 {
+        let rows = self.index.len().div_ceil(4) + CELL_ROWS as usize * self.cells.len() + self.nodes();
+        16 * rows as u64
+    }
+
+    /// Bytes of the sums of a pass.
+    pub fn sums_bytes(&self) -> u64 {
+        let counts = GuideUniforms {
+            cell_count: self.cells.len() as u32,
+            node_count: self.nodes() as u32,
+            ..self.uniforms
+        };
+        4 * LessonLayout::new(&counts).words()
     }
 
     /// The table for the next pass. `pixels` are estimates of the pixels' luminances, for learnt roulette.
@@ -396,12 +434,12 @@ fn refine(cell: &mut CellState, depth: u32) {
         let energies = was.map_or([0.25 * energy; 4], |i| old[i].energies);
         let first = queue.len() as u32;
         let mut mask = 0;
-        for q in 0..4 {
+        for (q, &energy) in energies.iter().enumerate() {
             // A leaf that was cut just now is not cut further before it has learnt.
-            if energies[q] > limit && level < depth && was.is_some() {
+            if energy > limit && level < depth && was.is_some() {
                 mask |= 1 << q;
                 let child = was.and_then(|i| child_of(old[i].children, 4, q as u32));
-                queue.push((child, energies[q], level + 1));
+                queue.push((child, energy, level + 1));
             }
         }
         nodes.push(NodeState { energies, children: first << 4 | mask });

@@ -2,12 +2,14 @@
 //! `transport` asks the table, engines collect the lessons, the [`Learner`] turns lessons into the next table.
 //! docs/GUIDING.md has the mathematics.
 
+mod file;
 mod learner;
 pub mod lessons;
 pub mod octant;
 pub mod quadtree;
 pub mod table;
 
+pub use file::{GuideFileError, VERSION as GUIDE_FILE_VERSION};
 pub use learner::{Learner, LearnerError};
 pub use lessons::{LessonLayout, LessonSums, Lessons, Trail, Transition};
 pub use table::{GuideTable, GuideUniforms};
@@ -42,6 +44,9 @@ impl GuideMode {
     }
 }
 
+/// The largest share of guided directions.
+pub const MAX_MIXTURE: f32 = 0.95;
+
 impl fmt::Display for GuideMode {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
@@ -58,6 +63,9 @@ impl fmt::Display for GuideMode {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GuideOptions {
     pub mode: GuideMode,
+    /// Whether plain tracing is tried as well, and taken where guiding does not pay; so are several scales of learnt
+    /// roulette where none is asked for.
+    pub trial: bool,
     /// Edge of a base cell in scene units; `None`: a 16th of the longest side of where paths go, for Bansal 0.5.
     pub cell_size: Option<f32>,
     /// Adaptive: levels of the quadtrees below an octant, 0 to 7.
@@ -70,7 +78,7 @@ pub struct GuideOptions {
     pub discount: f32,
     /// Bansal: octants below this share of the best are drawn again, 0 to 1.
     pub threshold: f32,
-    /// Samples per pixel that teach; the rest only uses what was learnt.
+    /// Samples per pixel that teach, rounded up to whole passes; the rest only uses what was learnt. 0: nothing is learnt.
     pub learning_samples: u32,
     /// Bytes that the table may take.
     pub memory: u64,
@@ -80,6 +88,7 @@ impl Default for GuideOptions {
     fn default() -> Self {
         GuideOptions {
             mode: GuideMode::Off,
+            trial: false,
             cell_size: None,
             depth: quadtree::MAX_DEPTH,
             mixture: 0.7,
@@ -88,6 +97,66 @@ impl Default for GuideOptions {
             threshold: 0.75,
             learning_samples: 511,
             memory: 256 << 20,
+        }
+    }
+}
+
+/// A number that is out of its range.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct GuideProblem {
+    /// Name of the field.
+    pub option: &'static str,
+    pub value: String,
+    /// What to choose instead.
+    pub remedy: &'static str,
+}
+
+impl GuideOptions {
+    /// The first number that is out of its range, if there is one. Where a mode does not use a number, it has to be in range
+    /// all the same.
+    pub fn problem(&self) -> Option<GuideProblem> {
+        let share = |value: Option<f32>| value.is_none_or(|value| (0.0..=1.0).contains(&value));
+        let cell = self.cell_size.is_none_or(|size| size.is_finite() && size > 0.0);
+        let text = |value: Option<f32>| value.map_or(String::new(), |value| value.to_string());
+        let checks = [
+            (cell, "guide_cell", text(self.cell_size), "choose a size above 0, in scene units"),
+            (self.depth <= quadtree::MAX_DEPTH, "guide_depth", self.depth.to_string(), "choose 0 to 7"),
+            (
+                (0.0..=MAX_MIXTURE).contains(&self.mixture),
+                "guide_mixture",
+                self.mixture.to_string(),
+                "choose 0 to 0.95: without the materials' own choice the guide would be biased",
+            ),
+            (share(self.alpha), "guide_alpha", text(self.alpha), "choose 0 to 1"),
+            (share(Some(self.discount)), "guide_discount", self.discount.to_string(), "choose 0 to 1"),
+            (share(Some(self.threshold)), "guide_threshold", self.threshold.to_string(), "choose 0 to 1"),
+        ];
+        let wrong = checks.into_iter().find(|(right, ..)| !right);
+        wrong.map(|(_, option, value, remedy)| GuideProblem { option, value, remedy })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_out_of_range_are_named() {
+        let good = GuideOptions::default();
+        assert_eq!(good.problem(), None);
+        let edges = GuideOptions { depth: 0, mixture: 0.95, alpha: Some(1.0), threshold: 0.0, ..good };
+        assert_eq!(edges.problem(), None);
+        for (bad, option) in [
+            (GuideOptions { cell_size: Some(0.0), ..good }, "guide_cell"),
+            (GuideOptions { cell_size: Some(f32::INFINITY), ..good }, "guide_cell"),
+            (GuideOptions { depth: 8, ..good }, "guide_depth"),
+            (GuideOptions { mixture: 0.96, ..good }, "guide_mixture"),
+            (GuideOptions { mixture: f32::NAN, ..good }, "guide_mixture"),
+            (GuideOptions { alpha: Some(-0.1), ..good }, "guide_alpha"),
+            (GuideOptions { discount: 1.1, ..good }, "guide_discount"),
+            (GuideOptions { threshold: f32::NAN, ..good }, "guide_threshold"),
+        ] {
+            assert_eq!(bad.problem().map(|problem| problem.option), Some(option));
         }
     }
 }

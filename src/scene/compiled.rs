@@ -2,6 +2,7 @@
 
 use super::{Camera, Geometry, MaterialKind, Scene, rows};
 use crate::gpu_struct;
+use crate::math::fnv1a;
 use crate::sampling::AliasTable;
 use glam::{DVec3, Vec3};
 
@@ -183,16 +184,21 @@ impl CompiledScene {
     /// A number that differs between different pictures (FNV-1a over geometry, materials and camera), so that shards of
     /// different scenes are not merged. Not cryptographic.
     pub fn fingerprint(&self, uniforms: &Uniforms) -> u64 {
-        let picture = Uniforms { seed: 0, ..*uniforms };
-        let arrays: [&[u8]; 4] = [
-            bytemuck::cast_slice(&self.spheres),
-            bytemuck::cast_slice(&self.quads),
-            bytemuck::cast_slice(&self.materials),
-            bytemuck::bytes_of(&picture),
-        ];
-        arrays.concat().iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
-            (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3)
-        })
+        // Neither changes what the picture converges to.
+        let picture = Uniforms { seed: 0, roulette_scale: 1.0, ..*uniforms };
+        let [spheres, quads, materials] = self.arrays();
+        fnv1a([spheres, quads, materials, bytemuck::bytes_of(&picture)])
+    }
+
+    /// A number that differs between scenes that light spreads in differently, wherever the camera is (FNV-1a).
+    pub fn light_fingerprint(&self) -> u64 {
+        let [spheres, quads, materials] = self.arrays();
+        fnv1a([spheres, quads, materials, bytemuck::bytes_of(&self.environment)])
+    }
+
+    fn arrays(&self) -> [&[u8]; 3] {
+        let materials = bytemuck::cast_slice(&self.materials);
+        [bytemuck::cast_slice(&self.spheres), bytemuck::cast_slice(&self.quads), materials]
     }
 
     /// Which material kinds the shapes use.
