@@ -3,6 +3,7 @@
 use crate::accel::ShapeLanes;
 use crate::bsdf::{bsdf_sample, lambert_share};
 use crate::film::{GuideLayers, srgb_to_linear};
+use crate::guiding::octant::octant_shares;
 use crate::guiding::octant::{octant_share, octant_signs};
 use crate::guiding::quadtree::{MAX_DEPTH, octant_direction};
 use crate::guiding::table::{Cell, NO_CELL, octants};
@@ -179,7 +180,7 @@ impl Learnt {
         Some(match self.mode {
             GuideMode::Adaptive => (cell.irradiance * FRAC_1_PI, self.summaries[number as usize], number),
             _ => {
-                let mean = octants::mean_radiance(&cell, normal);
+                let mean = octants::mean_radiance(&cell, &octant_shares(normal));
                 let known = mean > 0.0;
                 let summary =
                     if known { Summary::new(octant_parts(&cell, normal)) } else { Summary::default() };

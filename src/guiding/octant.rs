@@ -53,6 +53,11 @@ pub fn octant_share(normal: Vec3, octant: u32) -> f32 {
     (FRAC_1_PI * (one_axis_below(a, b, w) + complement)).max(0.0)
 }
 
+/// The shares of all octants.
+pub fn octant_shares(normal: Vec3) -> [f32; 8] {
+    std::array::from_fn(|octant| octant_share(normal, octant as u32))
+}
+
 /// Draws inside a cut octant before one is taken as it comes.
 pub const OCTANT_DRAWS: u32 = 4;
 
@@ -99,8 +104,9 @@ pub fn sample_in_octant(
     direction
 }
 
-/// Density of [`sample_in_octant`] in sr⁻¹ for a direction in the octant; it integrates to 1 over the octant.
-pub fn pdf_in_octant(normal: Vec3, octant: u32, direction: Vec3) -> f32 {
+/// Density of [`sample_in_octant`] in sr⁻¹ for a direction in the octant, whose share of the cosine lobe is `share`; it
+/// integrates to 1 over the octant.
+pub fn pdf_in_octant(normal: Vec3, octant: u32, share: f32, direction: Vec3) -> f32 {
     let s = normal * octant_signs(octant);
     let above = s.max(Vec3::ZERO);
     let cos_theta = normal.dot(direction).max(0.0);
@@ -112,7 +118,7 @@ pub fn pdf_in_octant(normal: Vec3, octant: u32, direction: Vec3) -> f32 {
         return cos_theta * FRAC_1_PI / whole;
     }
     // The first three draws are kept with probability `accepted` each; what is left of them is taken as proposed.
-    let accepted = (octant_share(normal, octant) / whole).min(1.0);
+    let accepted = (share / whole).min(1.0);
     let rejected = 1.0 - accepted;
     let left = rejected * rejected * rejected;
     let proposal = above.dot(direction.abs()) * FRAC_1_PI / whole;

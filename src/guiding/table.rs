@@ -226,32 +226,40 @@ pub mod octants {
     use super::*;
 
     /// Σ Q_a·F_a: the mean radiance weighted by the cosine, whose product with the albedo is what the surface sends back.
-    pub fn mean_radiance(cell: &Cell, normal: Vec3) -> f32 {
-        (0..8).map(|a| cell.octants[a as usize] * octant_share(normal, a)).sum()
+    pub fn mean_radiance(cell: &Cell, shares: &[f32; 8]) -> f32 {
+        (0..8).map(|a| cell.octants[a] * shares[a]).sum()
     }
 
     /// Density and slot of `direction`: cosθ/π · Q_a / ΣQF wherever the octant is not cut by the horizon.
-    pub fn density(cell: &Cell, normal: Vec3, mean: f32, direction: Vec3) -> GuidedDensity {
+    pub fn density(
+        cell: &Cell,
+        normal: Vec3,
+        shares: &[f32; 8],
+        mean: f32,
+        direction: Vec3,
+    ) -> GuidedDensity {
         let octant = octant_of(direction);
         let slot = 8 * cell.index + octant;
         if mean <= 0.0 {
             return GuidedDensity { pdf: 0.0, slot };
         }
-        let probability = cell.octants[octant as usize] * octant_share(normal, octant) / mean;
-        GuidedDensity { pdf: probability * pdf_in_octant(normal, octant, direction), slot }
+        let share = shares[octant as usize];
+        let probability = cell.octants[octant as usize] * share / mean;
+        GuidedDensity { pdf: probability * pdf_in_octant(normal, octant, share, direction), slot }
     }
 
     /// A direction with that density. `u`: acceptance, two for the direction, choice of the octant.
     pub fn sample(
         cell: &Cell,
         normal: Vec3,
+        shares: &[f32; 8],
         mean: f32,
         u: Vec4,
         sampler: Sampler,
         key: SampleKey,
         bounce: u32,
     ) -> Vec3 {
-        let weights: [f32; 8] = std::array::from_fn(|a| cell.octants[a] * octant_share(normal, a as u32));
+        let weights: [f32; 8] = std::array::from_fn(|a| cell.octants[a] * shares[a]);
         let (octant, rest) = choose_octant(&weights, mean, u.w);
         sample_in_octant(normal, octant, Vec4::new(u.x, u.y, u.z, rest), sampler, key, bounce)
     }

@@ -2,8 +2,9 @@
 //! learnt on the way. GPU twin: kernels/transport/guide.wesl
 
 use super::path::Transport;
-use crate::bsdf::{BsdfSample, lambert_share};
+use crate::bsdf::lambert_share;
 use crate::guiding::lessons::MISSING;
+use crate::guiding::octant::octant_shares;
 use crate::guiding::table::{Cell, CellPlace, GuidedDensity, NO_CELL, adaptive, bansal, octants};
 use crate::guiding::{GuideMode, GuideTable, LessonSums, Transition};
 use crate::math::{luminance, to_world};
@@ -33,6 +34,8 @@ pub struct GuidePoint {
     pub mean: f32,
     /// The Lambertian lobe's part of the material.
     pub share: f32,
+    /// Octant guide: the octants' shares of the cosine lobe.
+    pub shares: [f32; 8],
 }
 
 impl GuidePoint {
@@ -52,13 +55,17 @@ impl Transport<'_> {
         let place = guidance.table.place(surface.position, normal);
         let empty = Cell { index: 0, octants: [0.0; 8], roots: 0, irradiance: 0.0, trust: 0.0 };
         let cell = if place.cell == NO_CELL { empty } else { guidance.table.cell(place.cell) };
+        let shares = match guidance.mode {
+            GuideMode::Octant if cell.trust > 0.0 => octant_shares(normal),
+            _ => [0.0; 8],
+        };
         let mean = match guidance.mode {
-            GuideMode::Octant if cell.trust > 0.0 => octants::mean_radiance(&cell, normal),
+            GuideMode::Octant => octants::mean_radiance(&cell, &shares),
             GuideMode::Adaptive => cell.irradiance * FRAC_1_PI,
             _ => 0.0,
         };
         let mixture = if mean > 0.0 { cell.trust * guidance.table.uniforms.mixture } else { 0.0 };
-        Some(GuidePoint { place, cell, mixture, mean, share })
+        Some(GuidePoint { place, cell, mixture, mean, share, shares })
     }
 
     /// The guide's own density of `wi`, and the slot that learns about it.
@@ -70,7 +77,7 @@ impl Transport<'_> {
         wi: Vec3,
     ) -> GuidedDensity {
         match guidance.mode {
-            GuideMode::Octant => octants::density(&point.cell, normal, point.mean, wi),
+            GuideMode::Octant => octants::density(&point.cell, normal, &point.shares, point.mean, wi),
             _ => adaptive::density(guidance.table, &point.cell, wi),
         }
     }
@@ -124,7 +131,7 @@ impl Transport<'_> {
         let u = Vec4::new(choice.x / point.mixture, choice.y, choice.z, choice.w);
         match guidance.mode {
             GuideMode::Octant => {
-                octants::sample(&point.cell, normal, point.mean, u, self.sampler, key, bounce)
+                octants::sample(&point.cell, normal, &point.shares, point.mean, u, self.sampler, key, bounce)
             }
             _ => adaptive::sample(guidance.table, &point.cell, u.w, u.yz()),
         }
@@ -152,15 +159,14 @@ impl Transport<'_> {
         wi
     }
 
-    /// Counts the visit of a path that leaves into the direction `scattered`, whose slot is `slot`, and gives the weight
-    /// that radiance from there has. Adaptive cells learn irradiance: a visit counts 1, by eighths of the cell, which says
+    /// Counts the visit of a path that leaves at an angle of that cosine with that density, and gives the weight that
+    /// radiance from there has. Adaptive cells learn irradiance: a visit counts 1, by eighths of the cell, which says
     /// where to cut it. Octants learn mean radiance, weighted by the cosine: a visit counts its weight.
     pub fn visit(
         &self,
         point: &GuidePoint,
-        scattered: &BsdfSample,
-        normal: Vec3,
-        slot: u32,
+        cosine: f32,
+        density: GuidedDensity,
         transition: &mut Transition,
     ) -> f32 {
         let Some(guidance) = self.guidance else { return 0.0 };
@@ -169,13 +175,12 @@ impl Transport<'_> {
             transition.visited = MISSING | point.place.base;
             return 0.0;
         }
-        let cosine = normal.dot(scattered.wi).max(0.0);
-        let weight = if scattered.pdf > 0.0 { point.share * cosine / scattered.pdf } else { 0.0 };
+        let weight = if density.pdf > 0.0 { point.share * cosine.max(0.0) / density.pdf } else { 0.0 };
         match guidance.mode {
             GuideMode::Adaptive => transition.visited = 8 * point.place.cell + point.place.eighth,
-            GuideMode::Octant => (transition.visited, transition.visit) = (slot, weight),
+            GuideMode::Octant => (transition.visited, transition.visit) = (density.slot, weight),
             _ => {
-                transition.visited = slot;
+                transition.visited = density.slot;
                 return 1.0;
             }
         }

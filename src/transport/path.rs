@@ -7,6 +7,7 @@ use super::light::{choose_light, pdf_light, sample_light};
 use super::roulette::Roulette;
 use crate::accel::ShapeLanes;
 use crate::bsdf::{BsdfSample, bsdf_evaluate, bsdf_sample};
+use crate::guiding::table::GuidedDensity;
 use crate::guiding::{Trail, Transition};
 use crate::math::{luminance, mis_weight};
 use crate::random::{DIMENSION_CAMERA, SampleKey, Sampler, dimension_bsdf, dimension_light, sample4};
@@ -101,10 +102,9 @@ impl Transport<'_> {
         ray.throughput * self.uniforms.environment
     }
 
-    /// What such a ray teaches.
-    pub fn environment_transition(&self, trail: &Trail) -> Transition {
-        let value = luminance(self.uniforms.environment) * trail.weight;
-        Transition { slot: trail.slot, value, ..Default::default() }
+    /// What such a ray teaches the slot of its trail.
+    pub fn environment_value(&self, trail: &Trail) -> f32 {
+        luminance(self.uniforms.environment) * trail.weight
     }
 
     /// Radiance that the surface itself sends back along the ray. Direct-light sampling could have found it too, unless
@@ -134,7 +134,6 @@ impl Transport<'_> {
         surface: &Surface,
         normal: Vec3,
         material: &Material,
-        point: Option<&GuidePoint>,
         key: SampleKey,
     ) -> Option<ShadowItem> {
         let u = sample4(self.sampler, key, dimension_light(ray.bounce));
@@ -149,7 +148,6 @@ impl Transport<'_> {
         if bsdf.value.max_element() <= 0.0 {
             return None;
         }
-        let continued = point.map_or(bsdf.pdf, |point| self.guided_pdf(point, normal, towards.wi));
         let pdf = light.pick_probability * towards.pdf;
         let emission = self.scene.materials[light.material as usize].emission;
         Some(ShadowItem {
@@ -157,13 +155,16 @@ impl Transport<'_> {
             t_max: towards.t * SHADOW_END,
             direction: towards.wi,
             path: ray.path,
-            radiance: bsdf.value * emission * (mis_weight(pdf, continued) / pdf),
+            radiance: bsdf.value * emission * (mis_weight(pdf, bsdf.pdf) / pdf),
             light_shape: light.shape,
         })
     }
 
     /// The direction in which the path would go on, chosen by the material, or by the guide among what its Lambertian
-    /// lobe may choose; and what the path remembers of that.
+    /// lobe may choose; and what the guide says of that.
+    ///
+    /// The sample's density is the material's own, which is what weights emission against direct light: any density does
+    /// that without bias if both sides use the same, and this one costs no look-up for the directions of lights.
     fn scatter(
         &self,
         ray: &RayItem,
@@ -172,7 +173,7 @@ impl Transport<'_> {
         outside: bool,
         point: Option<&GuidePoint>,
         key: SampleKey,
-    ) -> (BsdfSample, Option<u32>) {
+    ) -> (BsdfSample, Option<GuidedDensity>) {
         let u = sample4(self.sampler, key, dimension_bsdf(ray.bounce));
         let mirrored = material.kind == KIND_MIRROR && u.z < material.parameter;
         let Some(point) = point.filter(|_| !mirrored) else {
@@ -180,10 +181,9 @@ impl Transport<'_> {
         };
         let wi = self.guided_direction(point, normal, u.xy(), key, ray.bounce);
         let density = self.guided_density(point, normal, wi);
-        let pdf = density.pdf;
-        let lobe = point.share * pdf_cosine(normal.dot(wi));
-        let weight = if pdf > 0.0 { material.color * (lobe / pdf) } else { Vec3::ZERO };
-        (BsdfSample { wi, weight, pdf }, Some(density.slot))
+        let pdf = point.share * pdf_cosine(normal.dot(wi));
+        let weight = if density.pdf > 0.0 { material.color * (pdf / density.pdf) } else { Vec3::ZERO };
+        (BsdfSample { wi, weight, pdf }, Some(density))
     }
 
     /// Everything that happens where a ray meets a surface.
@@ -207,19 +207,20 @@ impl Transport<'_> {
             outcome.transition.value += self.learnt_radiance(point, material) * trail.weight;
         }
         if self.direct_light && material.kind != KIND_DIELECTRIC {
-            outcome.shadow = self.direct_light(ray, &surface, normal, material, point, key);
+            outcome.shadow = self.direct_light(ray, &surface, normal, material, key);
             if let Some(shadow) = &mut outcome.shadow {
                 outcome.shadow_value = luminance(shadow.radiance) * trail.weight;
                 shadow.radiance *= ray.throughput;
             }
         }
 
-        let (scattered, slot) = self.scatter(ray, material, normal, outside, point, key);
+        let (scattered, density) = self.scatter(ray, material, normal, outside, point, key);
         let survival = self.roulette_survival(ray, ray.throughput * scattered.weight, material, point, key);
-        outcome.trail = match (point, slot) {
-            (Some(point), Some(slot)) => {
-                let weight = self.visit(point, &scattered, normal, slot, &mut outcome.transition);
-                Trail { slot, weight: weight / survival, ..Default::default() }
+        outcome.trail = match (point, density) {
+            (Some(point), Some(density)) => {
+                let cosine = normal.dot(scattered.wi);
+                let weight = self.visit(point, cosine, density, &mut outcome.transition);
+                Trail { slot: density.slot, weight: weight / survival, ..Default::default() }
             }
             _ => Trail { weight: trail.weight * luminance(scattered.weight) / survival, ..*trail },
         };

@@ -20,7 +20,11 @@ impl Transport<'_> {
     pub fn step(&self, ray: &RayItem, trail: &Trail) -> StepOutcome {
         let hit = self.lanes.intersect(Ray { origin: ray.origin, direction: ray.direction });
         let Some(hit) = hit else {
-            self.learn(&self.environment_transition(trail));
+            self.learn(&Transition {
+                slot: trail.slot,
+                value: self.environment_value(trail),
+                ..Default::default()
+            });
             return StepOutcome { emitted: self.environment(ray), ..Default::default() };
         };
         let shaded = self.shade(ray, trail, hit);
