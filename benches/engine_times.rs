@@ -5,6 +5,7 @@
 
 use clap::Parser;
 use qtracer::gpu::stage::Schedule;
+use qtracer::transport::roulette::Roulette;
 use qtracer::{EngineChoice, RenderOptions, Renderer, Sampler, Scene};
 use serde_json::json;
 use std::io::Write;
@@ -96,7 +97,7 @@ fn run(arguments: &Arguments, path: &str, engine: &str) -> Result<(), Box<dyn st
     let options = RenderOptions {
         size: arguments.size.as_ref().map(|s| (s[0], s[1])),
         direct_light: arguments.direct_light,
-        roulette: arguments.roulette,
+        roulette: arguments.roulette.map(|on| if on { Roulette::Throughput } else { Roulette::Off }),
         max_bounces: arguments.max_bounces,
         sampler: if arguments.stratified { Sampler::Stratified } else { Sampler::Independent },
         schedule,

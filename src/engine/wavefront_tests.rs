@@ -5,8 +5,8 @@ use crate::engine::Engine;
 use crate::film::Film;
 use crate::gpu::link::{MODULES, link_modules};
 use crate::gpu::stage::Schedule;
-use crate::random::Sampler;
 use crate::scene::Scene;
+use crate::transport::estimators::Estimators;
 
 /// Renders with `stage` linked from sources in which queues end at 20 rays. The message, or None if all went well.
 fn overflow(scene: &str, schedule: Schedule, stage: Stage, limit: &str) -> Option<String> {
@@ -14,7 +14,7 @@ fn overflow(scene: &str, schedule: Schedule, stage: Stage, limit: &str) -> Optio
     let scene = Scene::load(path).expect("the scene loads");
     let compiled = CompiledScene::new(&scene);
     let uniforms = Uniforms { max_bounces: 8, ..compiled.uniforms(&scene.camera, 16, 16, 1) };
-    let key = KernelKey::new(&compiled, true, true, Sampler::Stratified);
+    let key = KernelKey::new(&compiled, &Estimators { direct_light: true, ..Default::default() });
     let adapter = std::env::var("QTRACER_TEST_ADAPTER").ok();
     let gpu = Gpu::open(adapter.as_deref()).expect("GPU tests need an adapter: run tests/run");
     let options = RenderOptions { schedule: Some(schedule), ..Default::default() };

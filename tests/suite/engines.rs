@@ -4,6 +4,7 @@ use crate::support::*;
 use qtracer::gpu::stage::{BLOCK, Schedule};
 use qtracer::scene::{Material, SceneBuilder};
 use qtracer::stats::{ZTestOptions, differences, z_test};
+use qtracer::transport::roulette::Roulette;
 use qtracer::{Film, Image, RenderError, RenderOptions, Renderer, Sampler, Scene};
 
 /// A small size of the scene's own shape.
@@ -174,7 +175,7 @@ fn every_estimator_converges_to_the_same_image() {
         .map(|(i, &(direct_light, roulette))| {
             let options = RenderOptions {
                 direct_light: Some(direct_light),
-                roulette: Some(roulette),
+                roulette: Some(if roulette { Roulette::Throughput } else { Roulette::Off }),
                 ..small(16, 16, 50 + i as u32)
             };
             render(&scene, Engine::Cpu, &options, if direct_light { 256 } else { 2048 }).image

@@ -2,6 +2,7 @@
 
 use crate::support::*;
 use qtracer::scene::Material;
+use qtracer::transport::roulette::Roulette;
 use qtracer::{Image, RenderOptions, Scene};
 
 /// Radiance inside a sphere that emits 1 and has albedo ρ, from paths of at most k levels.
@@ -24,7 +25,8 @@ fn mean_and_relative_error(image: &Image) -> (f64, f64) {
 }
 
 fn options(direct_light: bool, roulette: bool) -> RenderOptions {
-    RenderOptions { direct_light: Some(direct_light), roulette: Some(roulette), ..small(16, 16, 77) }
+    let roulette = Some(if roulette { Roulette::Throughput } else { Roulette::Off });
+    RenderOptions { direct_light: Some(direct_light), roulette, ..small(16, 16, 77) }
 }
 
 /// Every path meets the wall at every level, so without direct light and roulette all samples are equal: no noise but

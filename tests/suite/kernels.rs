@@ -1,18 +1,23 @@
 //! The kernels as text: they link for every key, are valid, have the layouts that Rust has, and hold only what is needed.
 
-use crate::support::{Engine, SCHEDULES, render, root, scene, scene_names, small};
+use crate::support::{Engine, SCHEDULES, estimators, render, root, scene, scene_names, small};
 use naga::TypeInner;
 use qtracer::film::BlockSum;
 use qtracer::gpu::key::KernelKey;
 use qtracer::gpu::link::{MODULES, link};
 use qtracer::gpu::stage::{GRID_WIDTH, Schedule, Stage, WORKGROUP};
+use qtracer::guiding::GuideMode;
+use qtracer::guiding::octant::OCTANT_DRAWS;
+use qtracer::guiding::table::bansal;
 use qtracer::layout::GpuStruct;
-use qtracer::random::{DIMENSION_CAMERA, dimension_bsdf, dimension_light};
+use qtracer::random::{DIMENSION_CAMERA, dimension_bsdf, dimension_guide, dimension_light};
 use qtracer::scene::Material as SceneMaterial;
 use qtracer::scene::compiled::{self, CompiledScene, Light, Material, Quad, Sphere, Uniforms};
 use qtracer::scene::shapes::{RELATIVE_OFFSET, T_MISS};
+use qtracer::transport::estimators::Estimators;
 use qtracer::transport::items::{HitItem, RayItem, ShadowItem};
-use qtracer::transport::path::{ROULETTE_FROM_BOUNCE, SHADOW_END};
+use qtracer::transport::path::SHADOW_END;
+use qtracer::transport::roulette::{ROULETTE_FROM_BOUNCE, Roulette};
 use qtracer::{Sampler, Scene};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -33,9 +38,14 @@ fn all_stages(key: &KernelKey) -> Vec<(Stage, Schedule)> {
     stages
 }
 
+/// Direct light, roulette by throughput, independent samples, no guide.
+fn usual() -> Estimators {
+    Estimators { sampler: Sampler::Independent, ..estimators(GuideMode::Off, Roulette::Throughput) }
+}
+
 /// All linked kernels of a scene, by name and schedule.
-fn linked(scene: &Scene, direct_light: bool, roulette: bool) -> Vec<(String, String)> {
-    let key = KernelKey::new(&CompiledScene::new(scene), direct_light, roulette, Sampler::Independent);
+fn linked(scene: &Scene, estimators: &Estimators) -> Vec<(String, String)> {
+    let key = KernelKey::new(&CompiledScene::new(scene), estimators);
     let text = |(stage, schedule): (Stage, Schedule)| {
         (format!("{} ({schedule:?})", stage.name()), link(stage, &key, schedule).unwrap())
     };
@@ -76,9 +86,12 @@ fn every_stage_links_and_validates_for_every_kind_of_scene() {
     for name in ["cornell-box", "bansal-room-1", "furnace-open", "glass-caustic", "glossy-box"] {
         let compiled = CompiledScene::new(&scene(name));
         for direct_light in [false, true] {
-            for roulette in [false, true] {
+            for roulette in [Roulette::Off, Roulette::Throughput] {
                 for sampler in [Sampler::Independent, Sampler::Stratified] {
-                    let key = KernelKey::new(&compiled, direct_light, roulette, sampler);
+                    let key = KernelKey::new(
+                        &compiled,
+                        &Estimators { direct_light, sampler, ..estimators(GuideMode::Off, roulette) },
+                    );
                     for (stage, schedule) in all_stages(&key) {
                         validate(&link(stage, &key, schedule).unwrap());
                     }
@@ -145,9 +158,9 @@ fn layout_problem(
 #[test]
 fn structs_shared_with_the_kernels_have_equal_offsets_and_sizes() {
     let mut seen = BTreeSet::new();
-    let mut kernels = linked(&scene("bansal-room-1"), true, true);
-    kernels.extend(linked(&scene("cornell-box"), true, true));
-    kernels.extend(linked(&scene("many-lights"), true, true));
+    let mut kernels = linked(&scene("bansal-room-1"), &usual());
+    kernels.extend(linked(&scene("cornell-box"), &usual()));
+    kernels.extend(linked(&scene("many-lights"), &usual()));
     for (kernel, wgsl) in kernels {
         let module = validate(&wgsl);
         for (name, fields, size) in rust_layouts() {
@@ -203,7 +216,7 @@ fn constants_shared_with_the_kernels_are_equal() {
     ]
     .into();
     let mut seen = BTreeSet::new();
-    for (kernel, wgsl) in linked(&scene("bansal-room-1"), true, true) {
+    for (kernel, wgsl) in linked(&scene("bansal-room-1"), &usual()) {
         for (name, value) in constants(&wgsl) {
             if let Some(rust) = expected.get(name.as_str()) {
                 assert_eq!(value, *rust, "{name} in {kernel}");
@@ -219,14 +232,17 @@ fn constants_shared_with_the_kernels_are_equal() {
 #[test]
 fn dimensions_of_all_events_of_a_path_are_different() {
     let events = (0..64).flat_map(|bounce| [dimension_bsdf(bounce), dimension_light(bounce)]);
-    let dimensions: BTreeSet<u32> = events.chain([DIMENSION_CAMERA]).collect();
-    assert_eq!(dimensions.len(), 2 * 64 + 1);
+    let guided = (0..64).flat_map(|bounce| (0..16).map(move |draw| dimension_guide(bounce, draw)));
+    let dimensions: BTreeSet<u32> = events.chain(guided).chain([DIMENSION_CAMERA]).collect();
+    assert_eq!(dimensions.len(), (2 + 16) * 64 + 1);
+    // An octant's draws and Bansal's stay within a bounce's numbers.
+    assert!(OCTANT_DRAWS <= 16 && bansal::DRAWS <= 16);
 }
 
 #[test]
 fn a_scene_links_the_functions_of_its_own_materials_only() {
     for (own, material) in kinds() {
-        for (kernel, wgsl) in linked(&ball(material), true, true) {
+        for (kernel, wgsl) in linked(&ball(material), &usual()) {
             let functions = names(&wgsl);
             for (other, _) in kinds().iter().filter(|(other, _)| *other != own) {
                 let foreign: Vec<_> = functions.iter().filter(|f| f.starts_with(other)).collect();
@@ -236,7 +252,7 @@ fn a_scene_links_the_functions_of_its_own_materials_only() {
     }
     // Negative control: a scene with all four has all four.
     let all: BTreeSet<String> =
-        linked(&scene("bansal-room-1"), true, true).iter().flat_map(|(_, wgsl)| names(wgsl)).collect();
+        linked(&scene("bansal-room-1"), &usual()).iter().flat_map(|(_, wgsl)| names(wgsl)).collect();
     for (prefix, _) in kinds() {
         assert!(all.iter().any(|f| f.starts_with(prefix)), "no {prefix}* where there should be");
     }
@@ -244,7 +260,7 @@ fn a_scene_links_the_functions_of_its_own_materials_only() {
 
 #[test]
 fn a_diffuse_scene_links_one_queue_and_no_glass() {
-    let texts = linked(&scene("cornell-box"), true, true);
+    let texts = linked(&scene("cornell-box"), &usual());
     let queues = |wgsl: &str| constants(wgsl).get("HIT_QUEUES").copied();
     assert!(texts.iter().any(|(_, wgsl)| queues(wgsl) == Some(1.0)));
     for (kernel, wgsl) in &texts {
@@ -258,7 +274,7 @@ fn a_diffuse_scene_links_one_queue_and_no_glass() {
 
 #[test]
 fn without_direct_light_nothing_of_it_is_linked() {
-    let off = linked(&scene("cornell-box"), false, true);
+    let off = linked(&scene("cornell-box"), &Estimators { direct_light: false, ..usual() });
     for (kernel, wgsl) in &off {
         let names = names(wgsl);
         for name in [
@@ -277,7 +293,7 @@ fn without_direct_light_nothing_of_it_is_linked() {
     }
     // Negative control: with it on, they are there.
     let on: BTreeSet<String> =
-        linked(&scene("cornell-box"), true, true).iter().flat_map(|(_, wgsl)| names(wgsl)).collect();
+        linked(&scene("cornell-box"), &usual()).iter().flat_map(|(_, wgsl)| names(wgsl)).collect();
     assert!(
         ["lights", "light_at", "shadows", "occluded", "sample_light"].iter().all(|name| on.contains(*name))
     );
@@ -286,11 +302,11 @@ fn without_direct_light_nothing_of_it_is_linked() {
 #[test]
 fn without_roulette_nothing_of_it_is_linked() {
     let has = |roulette| {
-        linked(&scene("cornell-box"), true, roulette)
+        linked(&scene("cornell-box"), &Estimators { roulette, ..usual() })
             .iter()
-            .any(|(_, wgsl)| names(wgsl).contains("roulette_survival"))
+            .any(|(_, wgsl)| names(wgsl).contains("throughput_survival"))
     };
-    assert!(has(true) && !has(false));
+    assert!(has(Roulette::Throughput) && !has(Roulette::Off));
 }
 
 /// What browsers grant: 10 storage buffers and 12 uniform buffers of 64 KiB a stage, 256 invocations a workgroup, 16 KiB
@@ -298,7 +314,7 @@ fn without_roulette_nothing_of_it_is_linked() {
 #[test]
 fn every_stage_of_every_scene_stays_within_what_browsers_grant() {
     for name in scene_names() {
-        for (kernel, wgsl) in linked(&scene(&name), true, true) {
+        for (kernel, wgsl) in linked(&scene(&name), &usual()) {
             let module = validate(&wgsl);
             let storage = |space| matches!(space, naga::AddressSpace::Storage { .. });
             let buffers = module.global_variables.iter().filter(|(_, g)| storage(g.space)).count();
@@ -326,8 +342,8 @@ fn every_stage_of_every_scene_stays_within_what_browsers_grant() {
 #[test]
 fn equal_keys_link_equal_kernels() {
     let (a, b) = (scene("furnace-closed-50"), scene("furnace-closed-99"));
-    assert_eq!(linked(&a, true, true), linked(&b, true, true));
-    assert_ne!(linked(&a, true, true), linked(&a, true, false));
+    assert_eq!(linked(&a, &usual()), linked(&b, &usual()));
+    assert_ne!(linked(&a, &usual()), linked(&a, &Estimators { roulette: Roulette::Off, ..usual() }));
 }
 
 /// The sources with one text replaced by another, which must occur.
@@ -339,7 +355,7 @@ fn sabotaged(from: &str, to: &str) -> Vec<(&'static str, String)> {
 /// Negative control of the linker: what it must refuse, it refuses.
 #[test]
 fn a_misspelt_flag_or_name_does_not_link() {
-    let key = KernelKey::new(&CompiledScene::new(&scene("cornell-box")), true, true, Sampler::Independent);
+    let key = KernelKey::new(&CompiledScene::new(&scene("cornell-box")), &usual());
     let links = |from: &str, to: &str| {
         let modules = sabotaged(from, to);
         let modules: Vec<(&str, &str)> = modules.iter().map(|(name, text)| (*name, text.as_str())).collect();

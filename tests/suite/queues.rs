@@ -1,12 +1,11 @@
 //! Queue laws on the GPU itself: single kernels on recorded queues, read back. What is pushed is there exactly once,
 //! what is not is not, and what does not fit is reported.
 
-use crate::support::{open_gpu, scene};
+use crate::support::{estimators, open_gpu, scene};
 use bytemuck::Zeroable;
 use glam::Vec3;
 use proptest::prelude::*;
 use proptest::test_runner::TestRunner;
-use qtracer::Sampler;
 use qtracer::gpu::buffers::Buffers;
 use qtracer::gpu::device::Gpu;
 use qtracer::gpu::kernel::Kernel;
@@ -15,10 +14,12 @@ use qtracer::gpu::link::link;
 use qtracer::gpu::stage::{
     Argument, Counter, GRID_WIDTH, Schedule, Stage, WORKGROUP, argument_words, counter_words,
 };
+use qtracer::guiding::GuideMode;
 use qtracer::scene::compiled::{CompiledScene, NONE, Uniforms};
 use qtracer::scene::rows;
 use qtracer::scene::shapes::{Ray, intersect, shape_info};
 use qtracer::transport::items::{HitItem, RayItem};
+use qtracer::transport::roulette::Roulette;
 use std::collections::BTreeSet;
 use wgpu::BufferUsages;
 
@@ -35,7 +36,7 @@ struct Harness {
 impl Harness {
     fn new(stage: Stage, scene: &CompiledScene, schedule: Schedule) -> Harness {
         let gpu = open_gpu();
-        let key = KernelKey::new(scene, true, true, Sampler::Stratified);
+        let key = KernelKey::new(scene, &estimators(GuideMode::Off, Roulette::Throughput));
         let kernel = gpu.kernel(&stage.name(), &link(stage, &key, schedule).unwrap()).unwrap();
         Harness { gpu, kernel, key }
     }

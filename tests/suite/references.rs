@@ -6,6 +6,7 @@ use crate::support::*;
 use qtracer::film::read_image;
 use qtracer::gpu::stage::Schedule;
 use qtracer::stats::{Comparison, ComparisonOptions, ZTestOptions};
+use qtracer::transport::roulette::Roulette;
 use qtracer::{Image, RenderOptions};
 
 fn reference(name: &str) -> Image {
@@ -36,7 +37,7 @@ fn agrees_with_mitsuba(file: &str, reference_name: &str, engine: Engine, spp: u3
     let reference = reference(reference_name);
     let options = RenderOptions {
         direct_light: Some(true),
-        roulette: Some(true),
+        roulette: Some(Roulette::Throughput),
         max_bounces: Some(64),
         ..small(reference.width, reference.height, seed)
     };

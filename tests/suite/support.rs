@@ -3,6 +3,9 @@
 use qtracer::film::Film;
 use qtracer::gpu::device::Gpu;
 use qtracer::gpu::stage::Schedule;
+use qtracer::guiding::GuideMode;
+use qtracer::transport::estimators::Estimators;
+use qtracer::transport::roulette::Roulette;
 use qtracer::{EngineChoice, Image, RenderOptions, RenderStats, Renderer, Sampler, Scene};
 use std::path::PathBuf;
 
@@ -72,6 +75,18 @@ pub fn scene_names() -> Vec<String> {
 /// Options of a small render. Samples are independent, so that standard errors are what they say.
 pub fn small(width: u32, height: u32, seed: u32) -> RenderOptions {
     RenderOptions { size: Some((width, height)), seed, sampler: Sampler::Independent, ..Default::default() }
+}
+
+/// Estimators as a scene's defaults would have them, with this guide and this roulette.
+pub fn estimators(guide: GuideMode, roulette: Roulette) -> Estimators {
+    Estimators {
+        direct_light: true,
+        roulette,
+        roulette_scale: 1.0,
+        sampler: Sampler::Stratified,
+        max_bounces: 64,
+        guide,
+    }
 }
 
 /// A finished render.
