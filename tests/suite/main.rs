@@ -9,8 +9,11 @@
 mod engines;
 mod floors;
 mod furnace;
+mod guiding_maths;
+mod guiding_samplers;
 mod kernels;
 mod queues;
 mod references;
 mod samplers;
 mod support;
+mod tables;
