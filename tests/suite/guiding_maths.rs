@@ -15,7 +15,7 @@ use std::sync::LazyLock;
 
 static ADAPTIVE: LazyLock<Learnt> = LazyLock::new(|| learnt(GuideMode::Adaptive, 1));
 
-fn cases(count: u32) -> ProptestConfig {
+pub fn cases(count: u32) -> ProptestConfig {
     ProptestConfig {
         cases: count,
         failure_persistence: None,
@@ -25,7 +25,7 @@ fn cases(count: u32) -> ProptestConfig {
 }
 
 /// Numbers of every kind: zeros, subnormal ones, edges of cells, huge ones.
-fn finite() -> impl Strategy<Value = f32> {
+pub fn finite() -> impl Strategy<Value = f32> {
     prop_oneof![
         -4.0f32..4.0,
         (-8i32..8).prop_map(|i| i as f32 * CELL_SIZE),
@@ -34,12 +34,12 @@ fn finite() -> impl Strategy<Value = f32> {
     ]
 }
 
-fn vector(component: impl Strategy<Value = f32>) -> impl Strategy<Value = Vec3> {
+pub fn vector(component: impl Strategy<Value = f32>) -> impl Strategy<Value = Vec3> {
     prop::array::uniform3(component).prop_map(Vec3::from)
 }
 
 /// Anything at all, NaN and infinities included.
-fn anything() -> impl Strategy<Value = f32> {
+pub fn anything() -> impl Strategy<Value = f32> {
     prop_oneof![4 => finite(), 1 => prop::num::f32::ANY]
 }
 

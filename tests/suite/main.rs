@@ -9,6 +9,7 @@
 mod engines;
 mod floors;
 mod furnace;
+mod guiding_kernels;
 mod guiding_maths;
 mod guiding_samplers;
 mod kernels;
