@@ -8,6 +8,8 @@ use rayon::prelude::*;
 #[derive(Clone, Debug, Default)]
 pub struct CombinedFilm {
     pixels: Vec<CombinedPixel>,
+    /// Weight of a sample of the last pass, per colour of the checkerboard.
+    weights: [f64; 2],
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -23,14 +25,21 @@ impl CombinedFilm {
     /// Adds a finished pass, or one on its way. `estimates` are rough luminances of the pixels, to judge errors by.
     ///
     /// A pixel's weight is the inverse of the pass's mean relative variance, estimated from the pixels of the other colour
-    /// of a checkerboard: those are independent of the pixel's own noise, so the estimate does not bias it.
+    /// of a checkerboard: those are independent of the pixel's own noise, so the estimate does not bias it. A sample counts
+    /// at least as much as one of any earlier pass, since learning makes passes better and a short pass that missed what is
+    /// rare only seems less noisy.
     pub fn add(&mut self, pass: &Film, estimates: &[f32]) {
         let width = pass.width() as usize;
         self.pixels.resize(pass.pixels().len(), CombinedPixel::default());
-        let weights = [0, 1].map(|colour| 1.0 / relative_variance(pass, estimates, colour).max(1e-12));
+        for (colour, weight) in self.weights.iter_mut().enumerate() {
+            let least = weight.max(LEAST_WEIGHT);
+            *weight = relative_variance(pass, estimates, colour).map_or(least, |v| least.max(1.0 / v.max(1e-12)));
+        }
+        let weights = self.weights;
         self.pixels.par_iter_mut().with_min_len(1 << 12).zip(pass.pixels()).enumerate().for_each(
             |(i, (combined, pixel))| {
-                if pixel.count == 0 {
+                // Nobody knows the error of a single sample: it counts only where there is nothing else.
+                if pixel.count == 0 || (pixel.count == 1 && combined.weight > 0.0) {
                     return;
                 }
                 let weight = weights[1 - (i % width + i / width) % 2] * pixel.count as f64;
@@ -65,8 +74,12 @@ impl CombinedFilm {
     }
 }
 
-/// Mean over the pixels of one colour of a checkerboard: variance of a sample / estimated luminance².
-pub fn relative_variance(pass: &Film, estimates: &[f32], colour: usize) -> f64 {
+/// Weight of a sample where nothing is known.
+const LEAST_WEIGHT: f64 = 1e-12;
+
+/// Mean over the pixels of one colour of a checkerboard: variance of a sample / estimated luminance². None where no pixel
+/// has two samples and an estimate.
+pub fn relative_variance(pass: &Film, estimates: &[f32], colour: usize) -> Option<f64> {
     let width = pass.width() as usize;
     let (mut sum, mut count) = (0.0, 0u64);
     for (i, (pixel, &estimate)) in pass.pixels().iter().zip(estimates).enumerate() {
@@ -77,5 +90,5 @@ pub fn relative_variance(pass: &Film, estimates: &[f32], colour: usize) -> f64 {
         sum += variance * pixel.count as f64 / (3.0 * f64::from(estimate).powi(2));
         count += 1;
     }
-    sum / count.max(1) as f64
+    (count > 0).then(|| sum / count as f64)
 }
