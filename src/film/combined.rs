@@ -33,7 +33,8 @@ impl CombinedFilm {
         self.pixels.resize(pass.pixels().len(), CombinedPixel::default());
         for (colour, weight) in self.weights.iter_mut().enumerate() {
             let least = weight.max(LEAST_WEIGHT);
-            *weight = relative_variance(pass, estimates, colour).map_or(least, |v| least.max(1.0 / v.max(1e-12)));
+            *weight =
+                relative_variance(pass, estimates, colour).map_or(least, |v| least.max(1.0 / v.max(1e-12)));
         }
         let weights = self.weights;
         self.pixels.par_iter_mut().with_min_len(1 << 12).zip(pass.pixels()).enumerate().for_each(
