@@ -101,6 +101,7 @@ impl Guided {
         combined.put_into(image)
     }
 
+    #[allow(dead_code)]
     pub fn learner(&self) -> &Learner {
         &self.learner
     }

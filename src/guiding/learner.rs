@@ -383,12 +383,12 @@ fn refine(cell: &mut CellState, depth: u32) {
         let energies = was.map_or([0.25 * energy; 4], |i| old[i].energies);
         let first = queue.len() as u32;
         let mut mask = 0;
-        for q in 0..4 {
+        for (q, &energy) in energies.iter().enumerate() {
             // A leaf that was cut just now is not cut further before it has learnt.
-            if energies[q] > limit && level < depth && was.is_some() {
+            if energy > limit && level < depth && was.is_some() {
                 mask |= 1 << q;
                 let child = was.and_then(|i| child_of(old[i].children, 4, q as u32));
-                queue.push((child, energies[q], level + 1));
+                queue.push((child, energy, level + 1));
             }
         }
         nodes.push(NodeState { energies, children: first << 4 | mask });

@@ -268,7 +268,7 @@ fn dimensions_of_all_events_of_a_path_are_different() {
     let dimensions: BTreeSet<u32> = events.chain(guided).chain([DIMENSION_CAMERA]).collect();
     assert_eq!(dimensions.len(), (2 + 16) * 64 + 1);
     // An octant's draws and Bansal's stay within a bounce's numbers.
-    assert!(OCTANT_DRAWS <= 16 && table::bansal::DRAWS <= 16);
+    const { assert!(OCTANT_DRAWS <= 16 && table::bansal::DRAWS <= 16) };
 }
 
 #[test]
