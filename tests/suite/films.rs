@@ -55,26 +55,27 @@ fn mean_and_error(mean: &[[f32; 3]], errors: &[[f32; 3]]) -> (f64, f64) {
 #[test]
 fn weights_of_passes_do_not_bias_and_errors_are_the_spread() {
     let trials = 2000;
-    let results: Vec<((f64, f64), f64)> = (0..trials)
-        .map(|trial| {
-            let film = combined(trial);
-            let mut plain = Film::new(SIDE, SIDE);
-            for (number, (samples, rarity)) in (0..).zip(PASSES) {
-                plain.merge(&pass(trial, number, samples, rarity)).unwrap();
-            }
-            let alike = mean_and_error(&plain.mean(), &plain.standard_error()).0;
-            (mean_and_error(&film.mean(), &film.standard_error()), alike)
-        })
-        .collect();
-    let n = f64::from(trials);
-    let moments = |values: &dyn Fn(&((f64, f64), f64)) -> f64| {
-        let mean = results.iter().map(values).sum::<f64>() / n;
-        (mean, results.iter().map(|r| (values(r) - mean).powi(2)).sum::<f64>() / (n - 1.0))
+    let combine = |trial: u32| {
+        let film = combined(trial);
+        mean_and_error(&film.mean(), &film.standard_error())
     };
-    let (mean, variance) = moments(&|r| r.0.0);
+    let unweighted = |trial: u32| {
+        let mut film = Film::new(SIDE, SIDE);
+        for (number, (samples, rarity)) in (0..).zip(PASSES) {
+            film.merge(&pass(trial, number, samples, rarity)).unwrap();
+        }
+        mean_and_error(&film.mean(), &film.standard_error()).0
+    };
+    let n = f64::from(trials);
+    let moments = |values: &[f64]| {
+        let mean = values.iter().sum::<f64>() / n;
+        (mean, values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0))
+    };
+    let (means, errors): (Vec<f64>, Vec<f64>) = (0..trials).map(combine).unzip();
+    let (mean, variance) = moments(&means);
     let error = (variance / n).sqrt();
-    let claimed = results.iter().map(|r| r.0.1.powi(2)).sum::<f64>() / n;
-    let (_, alike) = moments(&|r| r.1);
+    let claimed = errors.iter().map(|e| e * e).sum::<f64>() / n;
+    let (_, alike) = moments(&(0..trials).map(unweighted).collect::<Vec<f64>>());
     println!(
         "mean {mean:.5} ± {error:.5}; variance {variance:.2e}, claimed {claimed:.2e}, unweighted {alike:.2e}"
     );

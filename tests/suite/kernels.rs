@@ -103,10 +103,14 @@ fn every_stage_links_and_validates_for_every_kind_of_scene() {
             let unguided = [Roulette::Off, Roulette::Throughput].map(|roulette| (GuideMode::Off, roulette));
             for (guide, roulette) in unguided.into_iter().chain(LEARNING) {
                 for sampler in [Sampler::Independent, Sampler::Stratified] {
-                    let key = KernelKey::new(
-                        &compiled,
-                        &Estimators { direct_light, sampler, ..estimators(guide, roulette) },
-                    );
+                    let estimators = Estimators { direct_light, sampler, ..estimators(guide, roulette) };
+                    // Guides meet shapes, materials and skies of every kind in these.
+                    let few =
+                        matches!(name, "bansal-room-1" | "furnace-open") && sampler == Sampler::Independent;
+                    if estimators.learns() && !few {
+                        continue;
+                    }
+                    let key = KernelKey::new(&compiled, &estimators);
                     for (stage, schedule) in all_stages(&key) {
                         validate(&link(stage, &key, schedule).unwrap());
                     }
@@ -405,7 +409,8 @@ fn a_guide_links_its_own_functions_only() {
 /// of workgroup memory. Of the storage buffers two are kept for the guide.
 #[test]
 fn every_stage_of_every_scene_stays_within_what_browsers_grant() {
-    let all: Vec<Estimators> = LEARNING.map(learning).into_iter().chain([usual()]).collect();
+    // The guide that binds most, and the one with the most text.
+    let all = [usual(), learning(LEARNING[2]), learning(LEARNING[6])];
     for (name, estimators) in scene_names().iter().flat_map(|name| all.iter().map(move |e| (name, e))) {
         for (kernel, wgsl) in linked(&scene(name), estimators) {
             let module = validate(&wgsl);
