@@ -35,6 +35,12 @@ pub fn batch_samples(pixels: u32, max_paths: u32) -> u32 {
     if fitting >= BLOCK { fitting / BLOCK * BLOCK } else { 1 << fitting.ilog2() }
 }
 
+/// The largest batch there will be.
+pub fn full_batch(pixels: u32, max_paths: u32) -> Batch {
+    let pixel_count = pixels.min(max_paths.max(1));
+    Batch { first_pixel: 0, pixel_count, first_sample: 0, sample_count: batch_samples(pixels, max_paths) }
+}
+
 /// The batches of samples `range` of `pixels` pixels, each of at most `max_paths` paths. Cuts within a block of samples
 /// happen only at the ends of `range` or where a block does not fit, so ranges that meet at multiples of [`BLOCK`] add up
 /// to exactly what one range gives.

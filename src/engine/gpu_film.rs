@@ -187,10 +187,10 @@ impl GpuFilm {
             return Ok(false);
         }
         self.lessons = LessonLayout::new(&table.uniforms);
-        let (storage, uniform) = (BufferUsages::STORAGE | BufferUsages::COPY_DST, BufferUsages::UNIFORM);
+        let storage = BufferUsages::STORAGE | BufferUsages::COPY_DST;
         let wanted = [
             ("guide_rows", 16 * table.rows.len() as u64, storage),
-            ("guide", size_of::<GuideUniforms>() as u64, uniform | BufferUsages::COPY_DST),
+            ("guide", size_of::<GuideUniforms>() as u64, storage),
             ("lessons", 4 * self.lessons.words(), storage | BufferUsages::COPY_SRC),
         ];
         let mut grown = false;

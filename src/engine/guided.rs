@@ -2,7 +2,7 @@
 //! they are.
 
 use super::pilot::pilot;
-use super::strategy::{Pass, Planner, Strategy};
+use super::strategy::{Pass, Planner};
 use super::{Engine, Estimators, RenderError, RenderOptions};
 use crate::film::{CombinedFilm, Film, Image, rough_luminances};
 use crate::guiding::{GuideMode, GuideOptions, Learner};
@@ -76,9 +76,10 @@ impl Guided {
             return Ok(());
         }
         let estimates = rough_luminances(film, ESTIMATE_SAMPLES);
-        self.combined.end_pass(film, &estimates);
+        self.combined.end_pass(film, &estimates, self.pass.trial);
         let rays = engine.stats().rays;
         let taken = samples - self.spent.0;
+        // Cut from what the engine counts in all.
         let rays_per_path = (rays - self.spent.1) as f64 / (f64::from(taken) * self.pixels);
         if self.pass.learning && self.pass.strategy.informed {
             self.learner.learn(&engine.take_lessons()?, taken);
@@ -95,16 +96,12 @@ impl Guided {
 
     /// `image` made of all passes by their weights.
     pub fn combine(&self, film: &Film, image: Image) -> Image {
-        self.combined.put_into(image, film, &rough_luminances(film, ESTIMATE_SAMPLES))
+        let estimates = rough_luminances(film, ESTIMATE_SAMPLES);
+        self.combined.put_into(image, film, &estimates, self.pass.trial)
     }
 
     /// What was learnt so far.
     pub fn learner(&self) -> &Learner {
         &self.learner
-    }
-
-    /// How paths are traced now.
-    pub fn strategy(&self) -> Strategy {
-        self.pass.strategy
     }
 }

@@ -25,6 +25,8 @@ pub struct Pass {
     pub end: u32,
     /// Whether it teaches.
     pub learning: bool,
+    /// Whether it only tries a strategy.
+    pub trial: bool,
 }
 
 /// Samples per pixel of the first pass.
@@ -34,7 +36,7 @@ const TRIALS: [(u32, u32); 2] = [(64, 8), (256, 16)];
 /// At the first trial: how many times worse than plain tracing a guide may be to be given the second.
 const HOPELESS: f64 = 2.5;
 /// Scales of learnt roulette that are tried.
-const LEARNT_SCALES: [f32; 2] = [2.0, 8.0];
+const LEARNT_SCALES: [f32; 2] = [2.5, 8.0];
 /// Plain tracing's roulette: the best of 1, 4, 16 and off on most scenes (docs/PERFORMANCE.md).
 const PLAIN: Strategy = Strategy { informed: false, roulette: Roulette::Throughput, roulette_scale: 4.0 };
 
@@ -145,6 +147,7 @@ impl Planner {
             strategy: self.arms[self.chosen].strategy,
             end: FIRST_PASS,
             learning: self.learning_samples > 0,
+            trial: false,
         }
     }
 
@@ -173,7 +176,8 @@ impl Planner {
             if let Some(arm) = next {
                 self.trial = Trial::At { round, arm, resume };
                 let strategy = self.arms[arm].strategy;
-                return Pass { strategy, end: samples + TRIALS[round].1, learning: strategy.informed };
+                let end = samples + TRIALS[round].1;
+                return Pass { strategy, end, learning: strategy.informed, trial: true };
             }
             self.decide(round);
         }
@@ -203,6 +207,6 @@ impl Planner {
         let doubled = (samples + 1).next_power_of_two();
         // A pass that would be short is not worth a lesson.
         let end = if f64::from(doubled) < 1.4 * f64::from(samples) { 2 * doubled } else { doubled };
-        Pass { strategy, end: if learning { end } else { u32::MAX }, learning }
+        Pass { strategy, end: if learning { end } else { u32::MAX }, learning, trial: false }
     }
 }

@@ -1,6 +1,6 @@
 //! What the GPU engines have in common: batch after batch is prepared, traced and resolved into the film.
 
-use super::batch::{batch_samples, batches};
+use super::batch::{batch_samples, batches, full_batch};
 use super::gpu_film::GpuFilm;
 use super::{Batch, CancelToken, Engine, EngineKind, RenderError, RenderStats, Strategy};
 use crate::film::Film;
@@ -95,6 +95,10 @@ fn trace_batches<T: Tracer>(
     film: &mut Film,
     cancel: &CancelToken,
 ) -> Result<(), RenderError> {
+    if tracer.gpu().may_learn() {
+        // Passes double: buffers for the largest batch at once, not new ones for each.
+        tracer.prepare(&full_batch(tracer.gpu().pixels(), tracer.gpu().max_paths))?;
+    }
     for batch in batches(tracer.gpu().pixels(), range, tracer.gpu().max_paths) {
         tracer.prepare(&batch)?;
         let finished = tracer.trace(&batch, film, cancel)?;

@@ -54,10 +54,16 @@ impl WavefrontEngine {
         Ok(WavefrontEngine { gpu, schedule, level, binds: Vec::new(), pool, pacer, expected_levels })
     }
 
+    /// Bytes of a ray or a shadow ray. Where something is learnt, they have a fourth row: what their path remembers.
+    fn ray_bytes(&self) -> u64 {
+        let trail = if self.gpu.may_learn() { size_of::<Trail>() } else { 0 };
+        (size_of::<RayItem>().max(size_of::<ShadowItem>()) + trail) as u64
+    }
+
     /// Rays per queue for a batch: the pool, less if the batch is smaller or a binding can't hold it.
     fn capacity(&self, batch: &Batch) -> u32 {
         let hit_bytes = size_of::<HitItem>() as u64 * u64::from(self.gpu.key.hit_queues());
-        let widest = hit_bytes.max(size_of::<RayItem>() as u64);
+        let widest = hit_bytes.max(self.ray_bytes());
         let fitting = self.gpu.gpu.summary.max_binding.min(self.gpu.gpu.summary.max_buffer) / widest;
         self.pool.min(batch.paths()).min(fitting.min(u64::from(u32::MAX)) as u32)
     }
@@ -65,17 +71,16 @@ impl WavefrontEngine {
     /// The queues that some kernel binds, at the capacity in the uniforms.
     fn create_queues(&mut self) -> Result<(), RenderError> {
         let capacity = u64::from(self.gpu.uniforms.capacity);
-        // Where something is learnt, rays and shadow rays have a fourth row: what their path remembers.
-        let trail = if self.gpu.may_learn() { size_of::<Trail>() as u64 } else { 0 };
+        let ray_bytes = self.ray_bytes();
         let queue_bytes = [
-            ("rays_a", size_of::<RayItem>() as u64 + trail, true),
-            ("rays_b", size_of::<RayItem>() as u64 + trail, true),
+            ("rays_a", ray_bytes, true),
+            ("rays_b", ray_bytes, true),
             (
                 "hits",
                 size_of::<HitItem>() as u64 * u64::from(self.gpu.key.hit_queues()),
                 self.gpu.is_bound("hits"),
             ),
-            ("shadows", size_of::<ShadowItem>() as u64 + trail, self.gpu.is_bound("shadows")),
+            ("shadows", ray_bytes, self.gpu.is_bound("shadows")),
             ("transitions", size_of::<Transition>() as u64, self.gpu.is_bound("transitions")),
         ];
         let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC | BufferUsages::COPY_DST;

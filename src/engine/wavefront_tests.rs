@@ -5,6 +5,7 @@ use crate::engine::Engine;
 use crate::film::Film;
 use crate::gpu::link::{MODULES, link_modules};
 use crate::gpu::stage::Schedule;
+use crate::guiding::GuideMode;
 use crate::scene::Scene;
 use crate::transport::estimators::Estimators;
 
@@ -55,5 +56,26 @@ fn a_queue_that_runs_over_is_an_error_that_names_it() {
             None,
             "{stage:?} is right as it is"
         );
+    }
+}
+
+/// Queues of the largest pool fit into the adapter's largest binding, with and without what a path remembers.
+#[test]
+fn the_largest_pool_fits_the_adapter() {
+    let scene =
+        Scene::load(format!("{}/scenes/cornell-box.toml", env!("CARGO_MANIFEST_DIR"))).expect("it loads");
+    let compiled = CompiledScene::new(&scene);
+    for guide in [GuideMode::Off, GuideMode::Adaptive] {
+        let estimators = Estimators { direct_light: true, guide, ..Default::default() };
+        let key = KernelKey::new(&compiled, &estimators);
+        let adapter = std::env::var("QTRACER_TEST_ADAPTER").ok();
+        let gpu = Gpu::open(adapter.as_deref()).expect("GPU tests need an adapter: run tests/run");
+        let options = RenderOptions { pool: Some(1 << 26), ..Default::default() };
+        let uniforms = compiled.uniforms(&scene.camera, 16, 16, 1);
+        let engine =
+            WavefrontEngine::new(gpu, &compiled, uniforms, key, &options).expect("the engine starts");
+        let largest = Batch { first_pixel: 0, pixel_count: 1 << 30, first_sample: 0, sample_count: 1 };
+        let bytes = u64::from(engine.capacity(&largest)) * engine.ray_bytes();
+        assert!(bytes <= engine.gpu.gpu.summary.max_binding, "{guide}: {bytes}");
     }
 }

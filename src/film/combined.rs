@@ -7,6 +7,11 @@ use rayon::prelude::*;
 /// Samples of each pixel that a pass needs for its noise to be judged by.
 const JUDGED_SAMPLES: u64 = 2;
 
+/// Relative variance of a sample below which passes are alike.
+const LEAST_VARIANCE: f64 = 1e-9;
+/// A relative variance that any real one is below.
+const UNKNOWN: f64 = 1e12;
+
 /// Per pixel: weighted means of passes, cut from a film that only grows.
 #[derive(Clone, Debug, Default)]
 pub struct CombinedFilm {
@@ -15,6 +20,8 @@ pub struct CombinedFilm {
     before: Vec<PixelSum>,
     /// Variance of a single sample in the last pass, for each colour of the checkerboard.
     variance: [f64; 2],
+    /// The least of those before it, trials not counted: what a sample at least counts by.
+    least: [f64; 2],
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -31,18 +38,26 @@ impl CombinedFilm {
         CombinedFilm {
             pixels: vec![CombinedPixel::default(); film.pixels().len()],
             before: film.pixels().to_vec(),
-            variance: [1.0; 2],
+            variance: [UNKNOWN; 2],
+            least: [UNKNOWN; 2],
         }
     }
 
     /// Ends a pass: what `film` got since the last one. `estimates` are rough luminances of the pixels, to judge errors by.
     ///
     /// A pixel's weight is the inverse of the pass's mean relative variance, estimated from the pixels of the other colour
-    /// of a checkerboard: those are independent of the pixel's own noise, so the estimate does not bias it.
-    pub fn end_pass(&mut self, film: &Film, estimates: &[f32]) {
+    /// of a checkerboard: those are independent of the pixel's own noise, so the estimate does not bias it. A sample counts
+    /// at least as much as one of any earlier pass, since learning makes passes better, and a short pass that missed what
+    /// is rare only seems less noisy. A `trial` of another way of tracing never counts more, and later passes need not
+    /// reach it.
+    pub fn end_pass(&mut self, film: &Film, estimates: &[f32], trial: bool) {
         let width = film.width() as usize;
         self.judge(film, estimates);
-        let variance = self.variance;
+        let variance = [0, 1].map(|c| self.variance[c].min(self.least[c]));
+        let variance = if trial { [0, 1].map(|c| self.variance[c].max(self.least[c])) } else { variance };
+        if !trial {
+            self.least = variance;
+        }
         let rows = self.pixels.par_chunks_mut(width).zip(self.before.par_chunks_mut(width));
         rows.zip(film.pixels().par_chunks(width)).enumerate().for_each(|(y, ((pixels, before), now))| {
             for (x, ((pixel, before), now)) in pixels.iter_mut().zip(before).zip(now).enumerate() {
@@ -57,7 +72,7 @@ impl CombinedFilm {
         let passed = |(now, before): (&PixelSum, &PixelSum)| now.count - before.count;
         if film.pixels().iter().zip(&self.before).next().map_or(0, passed) >= JUDGED_SAMPLES {
             let variance = relative_variance(film.pixels(), &self.before, estimates, film.width() as usize);
-            self.variance = [0, 1].map(|c| if variance[c] > 0.0 { variance[c] } else { self.variance[c] });
+            self.variance = [0, 1].map(|c| if variance[c] > 0.0 { variance[c].max(LEAST_VARIANCE) } else { self.variance[c] });
         }
     }
 
@@ -72,10 +87,10 @@ impl CombinedFilm {
     }
 
     /// `image` with the mean of all passes, the one on its way included, and its standard error.
-    pub fn put_into(&self, image: Image, film: &Film, estimates: &[f32]) -> Image {
+    pub fn put_into(&self, image: Image, film: &Film, estimates: &[f32], trial: bool) -> Image {
         let mut all = self.clone();
         if self.has_news(film) {
-            all.end_pass(film, estimates);
+            all.end_pass(film, estimates, trial);
         }
         let map = |value: fn(&CombinedPixel) -> [f64; 3]| -> Vec<[f32; 3]> {
             all.pixels.par_iter().with_min_len(1 << 12).map(|p| value(p).map(|v| v as f32)).collect()

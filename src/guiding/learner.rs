@@ -18,7 +18,7 @@ const SPLIT_SHARE: f32 = 0.005;
 /// pass, so that cells grow finer and better known.
 const SPLIT_VISITS: f64 = 20000.0;
 /// Visits with which a cell's guide is trusted half.
-const TRUSTED_VISITS: f32 = 64.0;
+const TRUSTED_VISITS: f32 = 256.0;
 /// Bytes of a cell and of a quadtree node, in the table and in the sums of a pass.
 pub(super) const CELL_BYTES: u64 = 16 * CELL_ROWS as u64 + 128;
 pub(super) const NODE_BYTES: u64 = 48;
@@ -112,7 +112,7 @@ impl Learner {
         let wanted = options.cell_size.unwrap_or(if bansal {
             0.5
         } else {
-            extent / env("QT_BASE", BASE_CELLS as f64) as f32
+            extent / BASE_CELLS
         });
         let size = wanted.max(extent / MOST_CELLS);
         let margin = if bansal { 0.0 } else { 0.03 * size };
@@ -201,7 +201,7 @@ impl Learner {
             self.cut_cells(
                 lessons,
                 &visits,
-                env("QT_SPLIT", SPLIT_VISITS) * f64::from(samples.max(1)).sqrt(),
+                SPLIT_VISITS * f64::from(samples.max(1)).sqrt(),
             );
         }
         self.passes += 1;
@@ -292,15 +292,15 @@ impl Learner {
 /// How a cell lies in the table, its nodes starting at `first_node`.
 fn cell_rows(mode: GuideMode, cell: &CellState, first_node: u32) -> [[u32; 4]; CELL_ROWS as usize] {
     let irradiance: f32 = cell.octants.iter().sum();
-    let known = cell.visits[0] / (cell.visits[0] + env("QT_TRUST", TRUSTED_VISITS as f64) as f32);
     let adaptive = mode == GuideMode::Adaptive;
+    let visits = if adaptive { cell.visits[0] } else { cell.visits.iter().sum() };
     let octants = match adaptive && irradiance > 0.0 {
         true => cell.octants.map(|energy| energy / irradiance),
         false => cell.octants,
     };
     let trust = match mode {
         _ if irradiance <= 0.0 => 0.0,
-        GuideMode::Adaptive => known,
+        GuideMode::Adaptive | GuideMode::Octant => visits / (visits + TRUSTED_VISITS),
         _ => 1.0,
     };
     let roots = if cell.roots & 255 == 0 { 0 } else { cell.roots + (first_node << 8) };

@@ -21,8 +21,8 @@ pub fn octant_signs(octant: u32) -> Vec3 {
 /// ∫ max(0, s·ω) over the octant of positive directions, for a unit vector s with s = (a, b, −w), all of them ≥ 0, in
 /// any order of the axes: Lambert's formula for the spherical quadrangle that the horizon leaves of the octant.
 fn one_axis_below(a: f32, b: f32, w: f32) -> f32 {
-    let across = a * b / ((w * w + a * a) * (w * w + b * b)).sqrt().max(1e-20);
-    0.5 * (a * b.atan2(w) + b * a.atan2(w) + across.min(1.0).acos() - w * FRAC_PI_2)
+    // The last arc as an arc tangent: its cosine is 1 to rounding where w is small.
+    0.5 * (a * b.atan2(w) + b * a.atan2(w) + w.atan2(a * b) - w * FRAC_PI_2)
 }
 
 /// The share of a cosine lobe about the unit vector `normal` that an octant receives: ∫ max(0, cosθ)/π over it. The

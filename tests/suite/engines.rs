@@ -97,7 +97,7 @@ fn mean_and_error(image: &Image) -> [(f64, f64); 3] {
 }
 
 /// Largest difference of the means of two images, in standard errors of the difference.
-fn mean_z(a: &Image, b: &Image) -> f64 {
+pub fn mean_z(a: &Image, b: &Image) -> f64 {
     let z = |((a, ea), (b, eb)): ((f64, f64), (f64, f64))| {
         let error = (ea * ea + eb * eb).sqrt();
         // Images without noise, such as a furnace's, may differ by their f32 rounding.

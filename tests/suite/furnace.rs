@@ -6,7 +6,7 @@ use qtracer::transport::roulette::Roulette;
 use qtracer::{Image, RenderOptions, Scene};
 
 /// Radiance inside a sphere that emits 1 and has albedo ρ, from paths of at most k levels.
-fn closed_form(albedo: f64, levels: i32) -> f64 {
+pub fn closed_form(albedo: f64, levels: i32) -> f64 {
     (1.0 - albedo.powi(levels)) / (1.0 - albedo)
 }
 
@@ -16,7 +16,7 @@ const CLOSED: [(&str, f64); 3] =
 
 /// Mean over all pixels and channels, and its standard error relative to it. The channels share their samples, so the
 /// error is a channel's.
-fn mean_and_relative_error(image: &Image) -> (f64, f64) {
+pub fn mean_and_relative_error(image: &Image) -> (f64, f64) {
     let n = image.rgb.len() as f64;
     let mean = image.rgb.iter().flatten().map(|&v| f64::from(v)).sum::<f64>() / (3.0 * n);
     let errors = image.standard_error.as_ref().unwrap();

@@ -6,9 +6,8 @@ use qtracer::film::BlockSum;
 use qtracer::gpu::key::KernelKey;
 use qtracer::gpu::link::{MODULES, link};
 use qtracer::gpu::stage::{GRID_WIDTH, Schedule, Stage, WORKGROUP};
-use qtracer::guiding::GuideMode;
 use qtracer::guiding::octant::OCTANT_DRAWS;
-use qtracer::guiding::table::bansal;
+use qtracer::guiding::{GuideMode, GuideUniforms, Trail, Transition, lessons, quadtree, table};
 use qtracer::layout::GpuStruct;
 use qtracer::random::{DIMENSION_CAMERA, dimension_bsdf, dimension_guide, dimension_light};
 use qtracer::scene::Material as SceneMaterial;
@@ -17,7 +16,7 @@ use qtracer::scene::shapes::{RELATIVE_OFFSET, T_MISS};
 use qtracer::transport::estimators::Estimators;
 use qtracer::transport::items::{HitItem, RayItem, ShadowItem};
 use qtracer::transport::path::SHADOW_END;
-use qtracer::transport::roulette::{ROULETTE_FROM_BOUNCE, Roulette};
+use qtracer::transport::roulette::{LEAST_SURVIVAL, ROULETTE_FROM_BOUNCE, Roulette};
 use qtracer::{Sampler, Scene};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -41,6 +40,21 @@ fn all_stages(key: &KernelKey) -> Vec<(Stage, Schedule)> {
 /// Direct light, roulette by throughput, independent samples, no guide.
 fn usual() -> Estimators {
     Estimators { sampler: Sampler::Independent, ..estimators(GuideMode::Off, Roulette::Throughput) }
+}
+
+/// Guides and roulettes of which something is learnt.
+const LEARNING: [(GuideMode, Roulette); 7] = [
+    (GuideMode::Off, Roulette::Learnt),
+    (GuideMode::Adaptive, Roulette::Throughput),
+    (GuideMode::Adaptive, Roulette::Learnt),
+    (GuideMode::Octant, Roulette::Off),
+    (GuideMode::Octant, Roulette::Learnt),
+    (GuideMode::Bansal, Roulette::Throughput),
+    (GuideMode::BansalReweighted, Roulette::Learnt),
+];
+
+fn learning((guide, roulette): (GuideMode, Roulette)) -> Estimators {
+    Estimators { guide, roulette, ..usual() }
 }
 
 /// All linked kernels of a scene, by name and schedule.
@@ -86,12 +100,17 @@ fn every_stage_links_and_validates_for_every_kind_of_scene() {
     for name in ["cornell-box", "bansal-room-1", "furnace-open", "glass-caustic", "glossy-box"] {
         let compiled = CompiledScene::new(&scene(name));
         for direct_light in [false, true] {
-            for roulette in [Roulette::Off, Roulette::Throughput] {
+            let unguided = [Roulette::Off, Roulette::Throughput].map(|roulette| (GuideMode::Off, roulette));
+            for (guide, roulette) in unguided.into_iter().chain(LEARNING) {
                 for sampler in [Sampler::Independent, Sampler::Stratified] {
-                    let key = KernelKey::new(
-                        &compiled,
-                        &Estimators { direct_light, sampler, ..estimators(GuideMode::Off, roulette) },
-                    );
+                    let estimators = Estimators { direct_light, sampler, ..estimators(guide, roulette) };
+                    // Guides meet shapes, materials and skies of every kind in these.
+                    let few =
+                        matches!(name, "bansal-room-1" | "furnace-open") && sampler == Sampler::Independent;
+                    if estimators.learns() && !few {
+                        continue;
+                    }
+                    let key = KernelKey::new(&compiled, &estimators);
                     for (stage, schedule) in all_stages(&key) {
                         validate(&link(stage, &key, schedule).unwrap());
                     }
@@ -132,6 +151,9 @@ fn rust_layouts() -> Vec<Layout> {
         layout::<HitItem>(),
         layout::<ShadowItem>(),
         layout::<BlockSum>(),
+        layout::<GuideUniforms>(),
+        layout::<Trail>(),
+        layout::<Transition>(),
     ]
 }
 
@@ -161,6 +183,8 @@ fn structs_shared_with_the_kernels_have_equal_offsets_and_sizes() {
     let mut kernels = linked(&scene("bansal-room-1"), &usual());
     kernels.extend(linked(&scene("cornell-box"), &usual()));
     kernels.extend(linked(&scene("many-lights"), &usual()));
+    kernels.extend(linked(&scene("many-lights"), &learning(LEARNING[2])));
+    kernels.extend(linked(&scene("furnace-open"), &learning(LEARNING[6])));
     for (kernel, wgsl) in kernels {
         let module = validate(&wgsl);
         for (name, fields, size) in rust_layouts() {
@@ -213,10 +237,22 @@ fn constants_shared_with_the_kernels_are_equal() {
         ("SHADOW_END", f64::from(SHADOW_END)),
         ("T_MISS", f64::from(T_MISS)),
         ("DIMENSION_CAMERA", f64::from(DIMENSION_CAMERA)),
+        ("CELL_ROWS", f64::from(table::CELL_ROWS)),
+        ("FINER", f64::from(table::FINER)),
+        ("MAX_CELL_LEVELS", f64::from(table::MAX_CELL_LEVELS)),
+        ("MAX_DEPTH", f64::from(quadtree::MAX_DEPTH)),
+        ("MISSING", f64::from(lessons::MISSING)),
+        ("VISIT_UNIT", f64::from(lessons::VISIT_UNIT)),
+        // What one addition makes at most.
+        ("LARGEST", lessons::fixed(f32::MAX, 1.0) as f64),
+        ("OCTANT_DRAWS", f64::from(OCTANT_DRAWS)),
+        ("BANSAL_DRAWS", f64::from(table::bansal::DRAWS)),
+        ("LEAST_SURVIVAL", f64::from(LEAST_SURVIVAL)),
     ]
     .into();
     let mut seen = BTreeSet::new();
-    for (kernel, wgsl) in linked(&scene("bansal-room-1"), &usual()) {
+    let guided = LEARNING.into_iter().flat_map(|learnt| linked(&scene("bansal-room-1"), &learning(learnt)));
+    for (kernel, wgsl) in linked(&scene("bansal-room-1"), &usual()).into_iter().chain(guided) {
         for (name, value) in constants(&wgsl) {
             if let Some(rust) = expected.get(name.as_str()) {
                 assert_eq!(value, *rust, "{name} in {kernel}");
@@ -236,7 +272,7 @@ fn dimensions_of_all_events_of_a_path_are_different() {
     let dimensions: BTreeSet<u32> = events.chain(guided).chain([DIMENSION_CAMERA]).collect();
     assert_eq!(dimensions.len(), (2 + 16) * 64 + 1);
     // An octant's draws and Bansal's stay within a bounce's numbers.
-    assert!(OCTANT_DRAWS <= 16 && bansal::DRAWS <= 16);
+    const { assert!(OCTANT_DRAWS <= 16 && table::bansal::DRAWS <= 16) };
 }
 
 #[test]
@@ -309,16 +345,79 @@ fn without_roulette_nothing_of_it_is_linked() {
     assert!(has(Roulette::Throughput) && !has(Roulette::Off));
 }
 
+/// Functions and buffers that exist where something is learnt: those of kernels/guiding and kernels/transport/guide, and
+/// the queue that feeds them.
+fn names_of_learning() -> BTreeSet<String> {
+    let modules =
+        MODULES.iter().filter(|(name, _)| name.starts_with("guiding/") || *name == "transport/guide");
+    let functions = modules.flat_map(|(_, text)| text.lines().filter_map(|line| line.strip_prefix("fn ")));
+    let identifier = |text: &str| text.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect();
+    let buffers = ["guide", "guide_rows", "lessons", "transitions"];
+    functions.map(identifier).chain(buffers.map(String::from)).collect()
+}
+
+#[test]
+fn without_guiding_nothing_of_it_is_linked() {
+    let learnt = names_of_learning();
+    assert!(learnt.len() > 35, "{learnt:?}");
+    for name in scene_names() {
+        for roulette in [Roulette::Off, Roulette::Throughput] {
+            for (kernel, wgsl) in linked(&scene(&name), &Estimators { roulette, ..usual() }) {
+                let found: Vec<_> = names(&wgsl).intersection(&learnt).cloned().collect();
+                assert!(found.is_empty(), "{name}: {kernel} holds {found:?} with guiding off");
+                let module = validate(&wgsl);
+                let types = module.types.iter().filter_map(|(_, ty)| ty.name.as_deref());
+                let foreign: Vec<_> =
+                    types.filter(|t| ["Trail", "Transition", "GuideUniforms"].contains(t)).collect();
+                assert!(foreign.is_empty(), "{name}: {kernel} holds {foreign:?} with guiding off");
+                assert!(!kernel.starts_with("learn"));
+            }
+        }
+    }
+    // Negative control: with it on, each of them is somewhere.
+    let kernels = || LEARNING.into_iter().flat_map(|learnt| linked(&scene("cornell-box"), &learning(learnt)));
+    let all: BTreeSet<String> = kernels().flat_map(|(_, wgsl)| names(&wgsl)).collect();
+    let missing: Vec<_> = learnt.difference(&all).collect();
+    assert!(missing.is_empty(), "nowhere even with guiding on: {missing:?}");
+    assert!(kernels().any(|(kernel, _)| kernel.starts_with("learn")));
+}
+
+/// Each guide links its own densities only.
+#[test]
+fn a_guide_links_its_own_functions_only() {
+    let own = |mode: GuideMode| match mode {
+        GuideMode::Adaptive => "adaptive_",
+        GuideMode::Octant => "octants_",
+        _ => "bansal_",
+    };
+    for (mode, roulette) in LEARNING.into_iter().filter(|(mode, _)| *mode != GuideMode::Off) {
+        let kernels = linked(&scene("cornell-box"), &learning((mode, roulette)));
+        let all: BTreeSet<String> = kernels.iter().flat_map(|(_, wgsl)| names(wgsl)).collect();
+        for prefix in ["adaptive_", "octants_", "bansal_"] {
+            assert_eq!(
+                all.iter().any(|name| name.starts_with(prefix)),
+                prefix == own(mode),
+                "{mode}: {prefix}*"
+            );
+        }
+        assert_eq!(all.contains("bansal_pdf"), mode == GuideMode::BansalReweighted);
+        assert_eq!(all.contains("pixel_estimate"), roulette == Roulette::Learnt, "{mode}");
+    }
+}
+
 /// What browsers grant: 10 storage buffers and 12 uniform buffers of 64 KiB a stage, 256 invocations a workgroup, 16 KiB
-/// of workgroup memory. Of the storage buffers two are kept for what is to come.
+/// of workgroup memory. Of the storage buffers two are kept for the guide.
 #[test]
 fn every_stage_of_every_scene_stays_within_what_browsers_grant() {
-    for name in scene_names() {
-        for (kernel, wgsl) in linked(&scene(&name), &usual()) {
+    // The guide that binds most, and the one with the most text.
+    let all = [usual(), learning(LEARNING[2]), learning(LEARNING[6])];
+    for (name, estimators) in scene_names().iter().flat_map(|name| all.iter().map(move |e| (name, e))) {
+        for (kernel, wgsl) in linked(&scene(name), estimators) {
             let module = validate(&wgsl);
+            let most = if estimators.learns() { 10 } else { 8 };
             let storage = |space| matches!(space, naga::AddressSpace::Storage { .. });
             let buffers = module.global_variables.iter().filter(|(_, g)| storage(g.space)).count();
-            assert!(buffers <= 8, "{name}: {kernel} binds {buffers} storage buffers");
+            assert!(buffers <= most, "{name}: {kernel} binds {buffers} storage buffers");
             let uniform =
                 module.global_variables.iter().filter(|(_, g)| g.space == naga::AddressSpace::Uniform);
             let bytes: Vec<u32> =
@@ -408,6 +507,22 @@ fn buffers_exist_for_what_the_scene_needs_and_nothing_else() {
     let rows = Quad::ROWS * large.quads.len() + 2 * large.materials.len() + 2 * large.lights.len();
     assert_eq!(have["scene_rows"], 16 * rows as u64);
     assert!(["quads", "materials", "lights"].iter().all(|name| !have.contains_key(*name)), "{have:?}");
+
+    // What learns is a table, its sums and, where hits have queues, a queue of transitions; rays then remember more.
+    let (have, capacity) = buffers(&scene("cornell-box"), Schedule::Compacted, true);
+    for name in ["guide", "guide_rows", "lessons", "transitions"] {
+        assert!(!have.contains_key(name), "{name} with guiding off: {have:?}");
+    }
+    for schedule in SCHEDULES {
+        let mut options = qtracer::RenderOptions { pool: Some(512), ..small(32, 32, 1) };
+        options.guide.mode = GuideMode::Octant;
+        let have = render(&scene("cornell-box"), Engine::Wavefront(schedule), &options, 1).stats.buffers;
+        assert!(["guide", "guide_rows", "lessons"].iter().all(|name| have.contains_key(*name)), "{have:?}");
+        assert_eq!((have["rays_a"], have["rays_b"]), (64 * capacity, 64 * capacity));
+        let queue = (schedule != Schedule::Fused).then_some(16 * capacity);
+        assert_eq!(have.get("transitions").copied(), queue, "{schedule:?}");
+        assert_eq!(have.get("shadows").copied(), queue.map(|bytes| 4 * bytes), "{schedule:?}");
+    }
 
     // The fused schedule shades where it intersects.
     let (have, _) = buffers(&scene("cornell-box"), Schedule::Fused, true);

@@ -7,10 +7,16 @@
 //! Tests of the GPU fail, and do not skip, where there is no adapter: `tests/run` installs a software one.
 
 mod engines;
+mod films;
 mod floors;
 mod furnace;
+mod guiding_kernels;
+mod guiding_maths;
+mod guiding_renders;
+mod guiding_samplers;
 mod kernels;
 mod queues;
 mod references;
 mod samplers;
 mod support;
+mod tables;

@@ -9,11 +9,11 @@ use qtracer::stats::{Comparison, ComparisonOptions, ZTestOptions};
 use qtracer::transport::roulette::Roulette;
 use qtracer::{Image, RenderOptions};
 
-fn reference(name: &str) -> Image {
+pub fn reference(name: &str) -> Image {
     read_image(&root().join(format!("tests/references/{name}.exr"))).unwrap()
 }
 
-fn compare(image: &Image, reference: &Image) -> Comparison {
+pub fn compare(image: &Image, reference: &Image) -> Comparison {
     let z_test = ZTestOptions { alpha: 1e-3, ..Default::default() };
     Comparison::new(&image.view(), &reference.view(), &ComparisonOptions { z_test, ..Default::default() })
         .unwrap()
@@ -22,7 +22,7 @@ fn compare(image: &Image, reference: &Image) -> Comparison {
 /// Errors as large as the reference says that a render of `spp` samples has, or as the render itself says if that is
 /// more. Where light is rare, most renders of few samples have not met it and claim errors near zero; the reference, of
 /// up to two million samples for each of these pixels, has.
-fn with_expected_errors(mut image: Image, reference: &Image, spp: u32) -> Image {
+pub fn with_expected_errors(mut image: Image, reference: &Image, spp: u32) -> Image {
     let (errors, samples) = (reference.standard_error.as_ref().unwrap(), reference.samples.as_ref().unwrap());
     for (i, own) in image.standard_error.iter_mut().flatten().enumerate() {
         let ratio = (samples[i] / spp as f32).sqrt();

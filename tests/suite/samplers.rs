@@ -21,8 +21,8 @@ use qtracer::stats::{chi2_test, normal_two_sided_threshold, sidak};
 use qtracer::transport::light::{choose_light, pdf_light, sample_light};
 use std::f64::consts::{PI, TAU};
 
-const ALPHA: f64 = 1e-4;
-const WRONG: f64 = 1e-9;
+pub const ALPHA: f64 = 1e-4;
+pub const WRONG: f64 = 1e-9;
 
 /// The numbers that path `i` draws: the program's own, so that they are tested too.
 fn draw(i: u32) -> glam::Vec4 {
@@ -30,16 +30,16 @@ fn draw(i: u32) -> glam::Vec4 {
 }
 
 /// Cells in which directions are counted: equal steps of z between `bottom` and `top`, and of φ, about `axis`.
-struct Cells {
-    axis: Vec3,
-    bottom: f64,
-    top: f64,
-    rows: usize,
-    columns: usize,
+pub struct Cells {
+    pub axis: Vec3,
+    pub bottom: f64,
+    pub top: f64,
+    pub rows: usize,
+    pub columns: usize,
 }
 
 impl Cells {
-    fn sphere(axis: Vec3) -> Cells {
+    pub fn sphere(axis: Vec3) -> Cells {
         Cells { axis, bottom: -1.0, top: 1.0, rows: 20, columns: 12 }
     }
 
@@ -62,7 +62,7 @@ impl Cells {
     }
 
     /// ∫ pdf dω over each cell: midpoints of a fine grid, which discontinuities within a cell survive.
-    fn integrate(&self, pdf: impl Fn(Vec3) -> f64) -> Vec<f64> {
+    pub fn integrate(&self, pdf: impl Fn(Vec3) -> f64) -> Vec<f64> {
         const FINE: usize = 48;
         let (rows, columns) = (self.rows * FINE, self.columns * FINE);
         let area = (self.top - self.bottom) / rows as f64 * TAU / columns as f64;
@@ -80,9 +80,14 @@ impl Cells {
     }
 
     /// p-value of 100,000 draws against the density, of which `missing` is the share that gives no direction.
-    fn chi2(&self, sample: impl Fn(u32) -> Option<Vec3>, pdf: impl Fn(Vec3) -> f64) -> f64 {
+    pub fn chi2(&self, sample: impl Fn(u32) -> Option<Vec3>, pdf: impl Fn(Vec3) -> f64) -> f64 {
+        self.chi2_of(sample, &self.integrate(pdf))
+    }
+
+    /// The same, for a density of which the integrals over the cells are known.
+    pub fn chi2_of(&self, sample: impl Fn(u32) -> Option<Vec3>, integrals: &[f64]) -> f64 {
         const DRAWS: u32 = 100_000;
-        let mut expected: Vec<f64> = self.integrate(pdf).iter().map(|p| p * f64::from(DRAWS)).collect();
+        let mut expected: Vec<f64> = integrals.iter().map(|p| p * f64::from(DRAWS)).collect();
         let mut observed = vec![0u64; expected.len() + 1];
         for i in 0..DRAWS {
             match sample(i) {

@@ -1,0 +1,338 @@
+//! The guide's kernels against their twins in Rust: small kernels, linked from the program's own modules, evaluate arrays
+//! of points and directions on the adapter under test.
+
+use crate::guiding_maths::{anything, cases, finite, normal, vector};
+use crate::samplers::{ALPHA, Cells, WRONG};
+use crate::support::{estimators, open_gpu, scene};
+use crate::tables::*;
+use glam::{Vec2, Vec3};
+use proptest::prelude::*;
+use proptest::strategy::ValueTree;
+use proptest::test_runner::TestRunner;
+use qtracer::Sampler;
+use qtracer::accel::ShapeLanes;
+use qtracer::gpu::buffers::Buffers;
+use qtracer::gpu::device::Gpu;
+use qtracer::gpu::kernel::Kernel;
+use qtracer::gpu::key::KernelKey;
+use qtracer::gpu::link::{MODULES, link_modules};
+use qtracer::gpu::stage::{Schedule, Stage, WORKGROUP};
+use qtracer::guiding::octant::{octant_of, octant_share};
+use qtracer::guiding::quadtree::{MAX_DEPTH, octant_coordinates};
+use qtracer::guiding::table::{CellPlace, NO_CELL, adaptive, octants};
+use qtracer::guiding::{GuideMode, GuideTable, LessonLayout, LessonSums};
+use qtracer::scene::compiled::{CompiledScene, KIND_DIFFUSE, Material, Uniforms};
+use qtracer::scene::shapes::Surface;
+use qtracer::transport::estimators::Estimators;
+use qtracer::transport::guide::Guidance;
+use qtracer::transport::path::Transport;
+use qtracer::transport::roulette::Roulette;
+use wgpu::BufferUsages;
+
+/// A kernel of one invocation per item: `body` sees its two rows of words as `a` and `b` and leaves its answer in `out`.
+fn probe(imports: &str, body: &str) -> String {
+    format!(
+        "{imports}
+        import package::key::WORKGROUP;
+        @group(0) @binding(0) var<storage, read> questions: array<vec4<u32>>;
+        @group(0) @binding(1) var<storage, read_write> answers: array<vec4<u32>>;
+        @compute @workgroup_size(WORKGROUP)
+        fn probe_stage(@builtin(global_invocation_id) id: vec3<u32>) {{
+            if id.x >= arrayLength(&answers) {{ return; }}
+            let a = questions[2u * id.x];
+            let b = questions[2u * id.x + 1u];
+            var out = vec4<u32>(0u);
+            {body}
+            answers[id.x] = out;
+        }}"
+    )
+}
+
+/// Two rows of words: a question to a kernel.
+type Question = [[u32; 4]; 2];
+
+fn question(a: Vec3, word: u32, b: Vec3) -> Question {
+    let bits = |v: Vec3, w: u32| [v.x.to_bits(), v.y.to_bits(), v.z.to_bits(), w];
+    [bits(a, word), bits(b, 0)]
+}
+
+/// Runs a kernel in place of the `resolve` stage, which has no queues, on a table.
+fn ask(
+    gpu: &Gpu,
+    mode: GuideMode,
+    kernel: &str,
+    table: &GuideTable,
+    questions: &[Question],
+) -> Vec<[u32; 4]> {
+    let estimators = Estimators { sampler: Sampler::Independent, ..estimators(mode, Roulette::Throughput) };
+    let key = KernelKey::new(&CompiledScene::new(&scene("cornell-box")), &estimators);
+    let text = |&(name, text): &(&'static str, &'static str)| match name {
+        "stages/resolve" => (name, kernel.to_string()),
+        _ => (name, text.to_string()),
+    };
+    let modules: Vec<(&str, String)> = MODULES.iter().map(text).collect();
+    let modules: Vec<(&str, &str)> = modules.iter().map(|(name, text)| (*name, text.as_str())).collect();
+    let wgsl = link_modules(&modules, Stage::Resolve, &key, Schedule::Fused).unwrap();
+    let kernel: Kernel = gpu.kernel("probe", &wgsl).unwrap_or_else(|e| panic!("{e}\n{wgsl}"));
+    let mut buffers = Buffers::default();
+    let answers = vec![[0u32; 4]; questions.len()];
+    let storage = BufferUsages::STORAGE | BufferUsages::COPY_SRC;
+    for (name, bytes, usage) in [
+        ("questions", bytemuck::cast_slice(questions), storage),
+        ("answers", bytemuck::cast_slice(&answers), storage),
+        ("guide_rows", bytemuck::cast_slice(&table.rows), storage),
+        ("guide", bytemuck::bytes_of(&table.uniforms), BufferUsages::UNIFORM),
+    ] {
+        buffers.upload(gpu, name, bytes, usage).unwrap();
+    }
+    let bind = kernel.bind(gpu, &buffers, &[]);
+    let mut encoder = gpu.device.create_command_encoder(&Default::default());
+    {
+        let mut pass = encoder.begin_compute_pass(&Default::default());
+        pass.set_pipeline(&kernel.pipeline);
+        pass.set_bind_group(0, &bind, &[]);
+        pass.dispatch_workgroups((questions.len() as u32).div_ceil(WORKGROUP), 1, 1);
+    }
+    gpu.queue.submit([encoder.finish()]);
+    let read = gpu.read(&[(buffers.get("answers"), 16 * questions.len() as u64)]).unwrap();
+    bytemuck::pod_collect_to_vec(&read[0])
+}
+
+/// The first `count` values of a strategy, the same in every run.
+fn drawn<S: Strategy>(strategy: S, count: usize) -> Vec<S::Value> {
+    let mut runner = TestRunner::new(cases(1));
+    (0..count).map(|_| strategy.new_tree(&mut runner).unwrap().current()).collect()
+}
+
+/// Kernels may read subnormal numbers as zeros.
+fn flushed(v: Vec3) -> Vec3 {
+    Vec3::from(v.to_array().map(|x| if x.is_subnormal() { 0.0f32.copysign(x) } else { x }))
+}
+
+const PLACE: &str = "
+    let normal = bitcast<vec3<f32>>(b.xyz);
+    let place = place_in_table(bitcast<vec3<f32>>(a.xyz), normal);
+    out = vec4<u32>(place.cell, place.base, place.eighth, octant_of(normal));";
+
+/// The answer to [`PLACE`] in Rust.
+fn place_and_octant(table: &GuideTable, position: Vec3, normal: Vec3) -> [u32; 4] {
+    let CellPlace { cell, base, eighth } = table.place(position, normal);
+    [cell, base, eighth, octant_of(normal)]
+}
+
+/// Cells and octants are the same on both sides, bit for bit, for points anywhere and directions of any signs.
+#[test]
+fn points_have_the_same_cell_on_the_gpu() {
+    let gpu = open_gpu();
+    let kernel = probe(
+        "import package::guiding::octant::octant_of;\nimport package::guiding::table::place_in_table;",
+        PLACE,
+    );
+    for mode in [GuideMode::Adaptive, GuideMode::Octant] {
+        let table = learnt(mode, 1).table;
+        let mut points = drawn((vector(anything()), vector(anything())), 20_000);
+        points.extend(drawn((vector(finite()), normal()), 20_000));
+        points.extend((0..40_000).map(|i| (surface_point(5, i).0, uniform_direction(6, i))));
+        let questions: Vec<Question> = points.iter().map(|(p, n)| question(*p, 0, *n)).collect();
+        let answers = ask(&gpu, mode, &kernel, &table, &questions);
+        let (mut same, mut different) = (0, Vec::new());
+        for (&(position, normal), answer) in points.iter().zip(&answers) {
+            let [cell, base, eighth, octant] = *answer;
+            let in_range = (cell == NO_CELL || cell < table.uniforms.cell_count)
+                && base < table.uniforms.base_words()
+                && eighth < 8
+                && octant < 8;
+            assert!(in_range, "{mode}: {position} {normal}: {answer:?}");
+            // Beyond that sums overflow, and kernels may take it that they do not.
+            if position.abs().max_element() > 1e30
+                || normal.abs().max_element() > 1e30
+                || !(position + normal).is_finite()
+            {
+                continue;
+            }
+            let expected = [(position, normal), (flushed(position), flushed(normal))];
+            if expected.iter().any(|(p, n)| place_and_octant(&table, *p, *n) == *answer) {
+                same += 1;
+            } else {
+                different.push((position, normal, *answer, place_and_octant(&table, position, normal)));
+            }
+        }
+        assert!(same > 50_000, "{mode}: {same}");
+        // Drivers of GPUs may fuse a product into a sum, which moves points across edges that they touch.
+        let allowed = if gpu.summary.software { 0 } else { same / 200 };
+        assert!(different.len() <= allowed, "{mode}: {} differ: {:?}", different.len(), &different[..1]);
+        // Negative control: the same points a thousandth of the box further.
+        let moved =
+            points.iter().zip(&answers).filter(|((p, n), a)| place_and_octant(&table, *p * 1.001, *n) != **a);
+        assert!(moved.count() > 20, "{mode}");
+    }
+}
+
+/// Distance of a direction's first coordinate to the nearest edge that a leaf can have.
+fn distance_to_edge(direction: Vec3) -> f32 {
+    let steps = (1 << MAX_DEPTH) as f32;
+    let x = octant_coordinates(direction).x * steps;
+    (x - x.round()).abs() / steps
+}
+
+/// Directions that matter: uniform ones, and those to the edges of octants and leaves.
+fn directions() -> Vec<Vec3> {
+    let mut directions: Vec<Vec3> = (0..30_000).map(|i| uniform_direction(8, i)).collect();
+    directions.extend(drawn(normal(), 20_000));
+    directions
+}
+
+fn close(a: f32, b: f32, relative: f32, absolute: f32) -> bool {
+    (a - b).abs() <= relative * a.abs().max(b.abs()) + absolute
+}
+
+/// Leaves are the same but where the driver's arc tangent puts a direction on the other side of an edge within 1e-6;
+/// densities are then the same to 1e-5.
+#[test]
+fn directions_have_the_same_leaf_on_the_gpu() {
+    let gpu = open_gpu();
+    let kernel = probe(
+        "import package::guiding::table::{adaptive_density, cell_at};",
+        "let density = adaptive_density(cell_at(a.w), bitcast<vec3<f32>>(b.xyz));
+        out = vec4<u32>(density.slot, bitcast<u32>(density.pdf), 0u, 0u);",
+    );
+    let learnt = learnt(GuideMode::Adaptive, 1);
+    let asked: Vec<_> =
+        directions().into_iter().zip(0..).map(|(d, i)| (learnt.cell(i % 97).0, flushed(d))).collect();
+    let questions: Vec<Question> =
+        asked.iter().map(|(cell, d)| question(Vec3::ZERO, cell.index, *d)).collect();
+    let answers = ask(&gpu, GuideMode::Adaptive, &kernel, &learnt.table, &questions);
+    let (mut moved, mut slots) = (0, std::collections::BTreeSet::new());
+    for ((cell, direction), [slot, pdf, ..]) in asked.iter().zip(&answers) {
+        let expected = adaptive::density(&learnt.table, cell, *direction);
+        slots.insert(*slot);
+        if *slot != expected.slot {
+            moved += 1;
+            assert!(distance_to_edge(*direction) < 1e-6, "{direction}: {slot} for {expected:?}");
+            continue;
+        }
+        let pdf = f32::from_bits(*pdf);
+        assert!(close(pdf, expected.pdf, 1e-5, 1e-9), "{direction}: {pdf} for {expected:?}");
+    }
+    println!("{moved} of {} directions moved over an edge; {} slots", asked.len(), slots.len());
+    assert!(moved < asked.len() / 20 && slots.len() > 1000);
+}
+
+/// Shares to 2e-6; means and densities of the octant guide to 1e-4.
+#[test]
+fn octants_have_the_same_densities_on_the_gpu() {
+    let gpu = open_gpu();
+    let kernel = probe(
+        "import package::guiding::octant::{octant_of, octant_share};
+        import package::guiding::table::{cell_at, octants_density, octants_mean_radiance};",
+        "let normal = bitcast<vec3<f32>>(a.xyz);
+        let direction = bitcast<vec3<f32>>(b.xyz);
+        let cell = cell_at(a.w);
+        let mean = octants_mean_radiance(cell, normal);
+        let density = octants_density(cell, normal, mean, direction);
+        let share = octant_share(normal, octant_of(direction));
+        out = vec4<u32>(density.slot, bitcast<u32>(density.pdf), bitcast<u32>(share), bitcast<u32>(mean));",
+    );
+    let learnt = learnt(GuideMode::Octant, 1);
+    let normals = drawn(normal(), 1000);
+    let asked: Vec<_> = directions()
+        .into_iter()
+        .zip(0..)
+        .map(|(d, i)| (learnt.cell(i % 97).0, flushed(normals[i as usize % 1000]), flushed(d)))
+        .collect();
+    let questions: Vec<Question> = asked.iter().map(|(cell, n, d)| question(*n, cell.index, *d)).collect();
+    let answers = ask(&gpu, GuideMode::Octant, &kernel, &learnt.table, &questions);
+    for ((cell, normal, direction), answer) in asked.iter().zip(&answers) {
+        let mean = octants::mean_radiance(cell, *normal);
+        let expected = octants::density(cell, *normal, mean, *direction);
+        let share = octant_share(*normal, octant_of(*direction));
+        let [pdf, gpu_share, gpu_mean] = [answer[1], answer[2], answer[3]].map(f32::from_bits);
+        let what =
+            format!("{normal} {direction}: {pdf} {gpu_share} {gpu_mean} for {expected:?} {share} {mean}");
+        assert_eq!(answer[0], expected.slot, "{what}");
+        assert!(close(gpu_share, share, 0.0, 2e-6) && close(gpu_mean, mean, 1e-5, 0.0), "{what}");
+        assert!(close(pdf, expected.pdf, 1e-4, 1e-5), "{what}");
+    }
+    // Negative control: shares of other normals are not that close.
+    let shares = asked.iter().zip(&answers).filter(|((_, n, d), a)| {
+        close(octant_share((*n + 1e-3).normalize(), octant_of(*d)), f32::from_bits(a[2]), 0.0, 2e-6)
+    });
+    assert!(shares.count() < asked.len() / 2);
+}
+
+/// What the GPU draws at a surface point follows the density that Rust tells, and the GPU tells the same. α = 1e-4 each.
+#[test]
+fn directions_drawn_on_the_gpu_follow_the_density_of_the_cpu() {
+    const DRAWS: u32 = 100_000;
+    let gpu = open_gpu();
+    let kernel = probe(
+        "import package::base::random::{SampleKey, sample4};
+        import package::items::Material;
+        import package::scene::data::KIND_DIFFUSE;
+        import package::scene::shapes::Surface;
+        import package::transport::guide::{guide_point, guided_direction, guided_pdf};",
+        "let normal = bitcast<vec3<f32>>(b.xyz);
+        var material: Material;
+        material.color = vec3<f32>(0.5);
+        material.kind = KIND_DIFFUSE;
+        let point = guide_point(Surface(bitcast<vec3<f32>>(a.xyz), normal, 0.0), normal, material);
+        let key = SampleKey(3u, a.w, 47u);
+        let wi = guided_direction(point, normal, sample4(key, 1u).xy, key, 0u);
+        out = vec4<u32>(bitcast<vec3<u32>>(wi), bitcast<u32>(guided_pdf(point, normal, wi)));",
+    );
+    let scene = CompiledScene::new(&scene("cornell-box"));
+    let (lanes, uniforms) = (ShapeLanes::new(&scene), Uniforms::default());
+    let material = Material { color: Vec3::splat(0.5), kind: KIND_DIFFUSE, ..Default::default() };
+    let cells = Cells { rows: 16, columns: 32, ..Cells::sphere(Vec3::Z) };
+    for mode in [GuideMode::Adaptive, GuideMode::Octant, GuideMode::BansalReweighted] {
+        let table = learnt(mode, 9).table;
+        let sums = LessonSums::new(LessonLayout::new(&table.uniforms));
+        let guidance = Some(Guidance { mode, table: &table, sums: &sums });
+        let transport = Transport { guidance, ..Transport::plain(&scene, &lanes, &uniforms) };
+        for i in [4, 5] {
+            let position = surface_point(77, i).0;
+            let normal = Vec3::new(-0.35, 0.2 * i as f32, 0.4).normalize();
+            let point =
+                transport.guide_point(&Surface { position, normal, offset: 0.0 }, normal, &material).unwrap();
+            let questions: Vec<Question> =
+                (0..DRAWS).map(|sample| question(position, sample, normal)).collect();
+            let answers = ask(&gpu, mode, &kernel, &table, &questions);
+            let drawn = |i: u32| {
+                let [x, y, z, _] = answers[i as usize];
+                Vec3::new(f32::from_bits(x), f32::from_bits(y), f32::from_bits(z))
+            };
+            let pdf = |d: Vec3| transport.guided_pdf(&point, normal, d);
+            let p = cells.chi2(|i| Some(drawn(i)), |d| f64::from(pdf(d)));
+            assert!(p > ALPHA, "{mode}, point {i}: p = {p}");
+            let p = cells.chi2(|i| Some(drawn(i)), |d| f64::from(pdf(d) * (1.0 + 0.2 * d.x)));
+            assert!(p < WRONG, "{mode}, point {i}: a wrong density passes with p = {p}");
+            let differing = (0..DRAWS)
+                .filter(|&i| !close(f32::from_bits(answers[i as usize][3]), pdf(drawn(i)), 1e-3, 1e-5));
+            // A draw within rounding of a leaf's edge may count to either leaf.
+            assert!(differing.count() < 20, "{mode}, point {i}");
+        }
+    }
+}
+
+/// The first `draws` are one to one: the GPU draws what the CPU draws from the same numbers, but for rounding.
+#[test]
+fn trees_are_warped_alike_on_the_gpu() {
+    let gpu = open_gpu();
+    let kernel = probe(
+        "import package::guiding::table::{adaptive_sample, cell_at};",
+        "let u = bitcast<vec3<f32>>(b.xyz);
+        out = vec4<u32>(bitcast<vec3<u32>>(adaptive_sample(cell_at(a.w), u.x, u.yz)), 0u);",
+    );
+    let learnt = learnt(GuideMode::Adaptive, 2);
+    let asked: Vec<_> =
+        (0..40_000u32).map(|i| (learnt.cell(i % 97).0, random(12, i, 3).truncate())).collect();
+    let questions: Vec<Question> =
+        asked.iter().map(|(cell, u)| question(Vec3::ZERO, cell.index, *u)).collect();
+    let answers = ask(&gpu, GuideMode::Adaptive, &kernel, &learnt.table, &questions);
+    let far = asked.iter().zip(&answers).filter(|((cell, u), [x, y, z, _])| {
+        let expected = adaptive::sample(&learnt.table, cell, u.x, Vec2::new(u.y, u.z));
+        let found = Vec3::new(f32::from_bits(*x), f32::from_bits(*y), f32::from_bits(*z));
+        (found - expected).length() > 1e-4
+    });
+    assert!(far.count() <= 4);
+}

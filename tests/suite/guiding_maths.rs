@@ -1,0 +1,416 @@
+//! The guide's table on the CPU: every point has a cell, every direction a leaf, shares of octants are exact, and what is
+//! no radiance never gets in.
+
+use crate::tables::*;
+use glam::{DVec3, Vec2, Vec3};
+use proptest::prelude::*;
+use proptest::test_runner::RngSeed;
+use qtracer::guiding::lessons::{VISIT_UNIT, fixed};
+use qtracer::guiding::octant::{octant_of, octant_share, octant_signs};
+use qtracer::guiding::quadtree::{MAX_DEPTH, find_leaf, octant_coordinates, octant_direction};
+use qtracer::guiding::table::{Cell, FINER, MAX_CELL_LEVELS, NO_CELL, normal_sector};
+use qtracer::guiding::{GuideMode, GuideTable, LessonSums, Transition};
+use std::f64::consts::{FRAC_PI_2, PI};
+use std::sync::LazyLock;
+
+static ADAPTIVE: LazyLock<Learnt> = LazyLock::new(|| learnt(GuideMode::Adaptive, 1));
+
+pub fn cases(count: u32) -> ProptestConfig {
+    ProptestConfig {
+        cases: count,
+        failure_persistence: None,
+        rng_seed: RngSeed::Fixed(5),
+        ..Default::default()
+    }
+}
+
+/// Numbers of every kind: zeros, subnormal ones, edges of cells, huge ones.
+pub fn finite() -> impl Strategy<Value = f32> {
+    prop_oneof![
+        -4.0f32..4.0,
+        (-8i32..8).prop_map(|i| i as f32 * CELL_SIZE),
+        prop::sample::select(vec![0.0, -0.0, 1e-45, -1e-45, 1e-38, 1e30, -1e30, f32::MAX, f32::MIN]),
+        prop::num::f32::NORMAL | prop::num::f32::SUBNORMAL,
+    ]
+}
+
+pub fn vector(component: impl Strategy<Value = f32>) -> impl Strategy<Value = Vec3> {
+    prop::array::uniform3(component).prop_map(Vec3::from)
+}
+
+/// Anything at all, NaN and infinities included.
+pub fn anything() -> impl Strategy<Value = f32> {
+    prop_oneof![4 => finite(), 1 => prop::num::f32::ANY]
+}
+
+/// Unit normals: any, along axes, and within a hair of axes and planes between them.
+pub fn normal() -> impl Strategy<Value = Vec3> {
+    let component = prop_oneof![
+        4 => -1.0f32..1.0,
+        1 => Just(0.0f32),
+        1 => Just(-0.0f32),
+        2 => (-30.0f32..-1.0, prop::bool::ANY).prop_map(|(e, s)| if s { e.exp2() } else { -e.exp2() }),
+    ];
+    vector(component).prop_filter("a direction", |n| n.length() > 1e-12).prop_map(|n| n.normalize())
+}
+
+/// What is wrong with a place, if anything.
+fn place_fault(table: &GuideTable, position: Vec3, normal: Vec3) -> Option<String> {
+    let place = table.place(position, normal);
+    let in_range = place.base < table.uniforms.base_words()
+        && place.eighth < 8
+        && (place.cell == NO_CELL || place.cell < table.uniforms.cell_count);
+    (!in_range).then(|| format!("{position} {normal}: {place:?}"))
+}
+
+/// Base cell of a place, per axis.
+fn base_cell(table: &GuideTable, base: u32) -> [i64; 3] {
+    let u = &table.uniforms;
+    let i = base / u.sectors;
+    [i % u.cells_x, i / u.cells_x % u.cells_y, i / u.cells_x / u.cells_y].map(i64::from)
+}
+
+/// The cell of a position, by bisection of boxes in f64. None outside the grid and close to edges.
+fn cell_by_boxes(table: &GuideTable, position: Vec3, normal: Vec3) -> Option<(u32, u32)> {
+    let u = &table.uniforms;
+    let lifted = position.as_dvec3() + normal.as_dvec3() * f64::from(u.lift);
+    let p = (lifted - u.origin.as_dvec3()) * f64::from(u.inverse_size);
+    let corner = p.floor();
+    if p.min_element() < 0.0 {
+        return None;
+    }
+    let sector = if u.sectors > 1 { normal_sector(normal) } else { 0 };
+    let [x, y, z] = corner.to_array().map(|v| v as u32);
+    let word = |i: u32| table.rows[i as usize / 4][i as usize % 4];
+    let mut at = word(((z * u.cells_y + y) * u.cells_x + x) * u.sectors + sector);
+    let (mut low, mut size) = (corner, 1.0);
+    for _ in 0..=MAX_CELL_LEVELS {
+        size *= 0.5;
+        let inside = (p - low) / size - 1.0;
+        if inside.abs().min_element() < 1e-3 || (inside.abs() - 1.0).abs().min_element() < 1e-3 {
+            return None;
+        }
+        let high = DVec3::from(inside.to_array().map(|v| f64::from(u8::from(v > 0.0))));
+        let eighth = (high.x + 2.0 * high.y + 4.0 * high.z) as u32;
+        if at == NO_CELL || at & FINER == 0 {
+            return Some((at, eighth));
+        }
+        at = word((at & !FINER) + eighth);
+        low += high * size;
+    }
+    panic!("cells are cut more than {MAX_CELL_LEVELS} times");
+}
+
+proptest! {
+    #![proptest_config(cases(20_000))]
+
+    /// Total and in range, wherever the point is and whatever the normal.
+    #[test]
+    fn every_point_has_a_cell(position in vector(anything()), normal in vector(anything())) {
+        prop_assert_eq!(place_fault(&ADAPTIVE.table, position, normal), None);
+    }
+
+    /// The cell is the one whose box holds the point.
+    #[test]
+    fn cells_hold_their_points(u in prop::array::uniform3(0.0f32..1.0), crowd in 0.02f32..1.0, n in normal()) {
+        let position = LOW + Vec3::from(u) * crowd * (HIGH - LOW);
+        let place = ADAPTIVE.table.place(position, n);
+        if let Some(expected) = cell_by_boxes(&ADAPTIVE.table, position, n) {
+            prop_assert_eq!((place.cell, place.eighth), expected);
+        }
+    }
+
+    /// A step of one cell's edge leads into the next cell, a shorter one at most there.
+    #[test]
+    fn neighbouring_points_have_neighbouring_cells(
+        u in prop::array::uniform3(0.0f32..1.0), axis in 0usize..3, step in 0.0f32..1.0, n in normal()
+    ) {
+        let table = &ADAPTIVE.table;
+        let position = LOW + 0.05 + Vec3::from(u) * (HIGH - LOW - CELL_SIZE);
+        let place = |length: f32| {
+            let at = position + Vec3::AXES[axis] * (length * CELL_SIZE);
+            base_cell(table, table.place(at, n).base)
+        };
+        let (here, near, next) = (place(0.0), place(step), place(1.0));
+        for i in 0..3 {
+            let moved = i64::from(i == axis);
+            prop_assert!((here[i]..=here[i] + moved).contains(&near[i]), "{here:?} {near:?}");
+            // Rounding may hold a point at an edge back, or push it on.
+            let exact = ((position - table.uniforms.origin + n * table.uniforms.lift) * table.uniforms.inverse_size)[i];
+            prop_assert!(next[i] == here[i] + moved || (exact - exact.round()).abs() < 1e-4, "{here:?} {next:?}");
+        }
+    }
+
+    /// Octant ↔ signs: a bit is set exactly where a component is not above zero, and −0 is 0.
+    #[test]
+    fn octants_are_patterns_of_signs(direction in vector(finite())) {
+        let octant = octant_of(direction);
+        for axis in 0..3 {
+            prop_assert_eq!(octant >> axis & 1 == 1, direction[axis] <= 0.0);
+            prop_assert_eq!(octant_signs(octant)[axis], if direction[axis] <= 0.0 { -1.0 } else { 1.0 });
+        }
+        prop_assert_eq!(octant_of(octant_signs(octant)), octant);
+    }
+
+    #[test]
+    fn every_direction_has_an_octant_and_a_leaf(direction in vector(anything())) {
+        let octant = octant_of(direction);
+        prop_assert!(octant < 8);
+        let (cell, _) = ADAPTIVE.cell(0);
+        let density = qtracer::guiding::table::adaptive::density(&ADAPTIVE.table, &cell, direction);
+        let u = &ADAPTIVE.table.uniforms;
+        prop_assert!(density.slot < 8 * u.cell_count + 4 * u.node_count);
+    }
+
+    /// Direction → coordinates → direction. Where |z| is close to 1, its last place moves the direction more.
+    #[test]
+    fn octant_coordinates_and_directions_are_inverse(n in normal(), octant in 0u32..8, x in 0.0f32..1.0, y in 0.0f32..1.0) {
+        let back = octant_direction(octant_of(n), octant_coordinates(n));
+        let radius = (1.0 - n.z * n.z).max(0.0).sqrt();
+        prop_assert!((back - n).length() < 4e-7 + (2e-7 / radius.max(1e-9)).min(5e-4), "{n} {back}");
+        let p = octant_coordinates(octant_direction(octant, Vec2::new(x, y)));
+        prop_assert!(p.y == y && (p.x - x).abs() < 1e-6, "{x} {y} {p}");
+    }
+}
+
+/// A leaf as recursion from the root finds it: the slot, the rectangle, the density.
+struct Rectangle {
+    quarter: Option<u32>,
+    low: Vec2,
+    size: f32,
+    density: f32,
+}
+
+fn leaves(table: &GuideTable, root: Option<u32>) -> Vec<Rectangle> {
+    let mut found = Vec::new();
+    let mut open = vec![(root, Rectangle { quarter: None, low: Vec2::ZERO, size: 1.0, density: 1.0 })];
+    while let Some((node, leaf)) = open.pop() {
+        let Some(index) = node else {
+            found.push(leaf);
+            continue;
+        };
+        let node = table.node(index);
+        for quarter in 0..4 {
+            let (right, top) = ((quarter & 1) as usize, quarter >> 1);
+            let phi = [node.low_phi, 1.0 - node.low_phi][right];
+            let z = [node.low_z[right], 1.0 - node.low_z[right]][top as usize];
+            let size = 0.5 * leaf.size;
+            let low = leaf.low + Vec2::new(right as f32, top as f32) * size;
+            let density = leaf.density * 4.0 * phi * z;
+            open.push((
+                node.child(quarter),
+                Rectangle { quarter: Some(4 * index + quarter), low, size, density },
+            ));
+        }
+    }
+    found
+}
+
+/// The root of an octant's tree as the cell's words have it.
+fn root(cell: &Cell, octant: u32) -> Option<u32> {
+    let before = (cell.roots & ((1 << octant) - 1)).count_ones();
+    (cell.roots >> octant & 1 == 1).then_some((cell.roots >> 8) + before)
+}
+
+/// All cells of the table.
+fn cells(table: &GuideTable) -> impl Iterator<Item = Cell> + '_ {
+    (0..table.uniforms.cell_count).map(|i| table.cell(i))
+}
+
+/// Descent ↔ rectangles: a leaf's points lead to it, and the leaf of a point holds it; densities are probabilities over
+/// areas; the leaves cover the sphere.
+#[test]
+fn leaves_cover_the_sphere_and_hold_their_points() {
+    let table = &ADAPTIVE.table;
+    let (mut deepest, mut checked) = (1.0f32, 0);
+    for cell in cells(table).step_by(7) {
+        let mut area = 0.0;
+        for octant in 0..8 {
+            let leaves = leaves(table, root(&cell, octant));
+            let mut probability = 0.0;
+            for (i, leaf) in leaves.iter().enumerate() {
+                let share = f64::from(leaf.size) * f64::from(leaf.size);
+                area += FRAC_PI_2 * share;
+                probability += share * f64::from(leaf.density);
+                deepest = deepest.min(leaf.size);
+                let u = random(3, i as u32, octant);
+                for p in [leaf.low, leaf.low + Vec2::new(u.x, u.y) * leaf.size] {
+                    let found = find_leaf(|i| table.node(i), root(&cell, octant), p);
+                    assert_eq!((found.quarter, found.density), (leaf.quarter, leaf.density), "{p}");
+                }
+            }
+            // Where nothing was learnt about an octant, its tree need not be one.
+            if cell.octants[octant as usize] > 0.0 {
+                assert!(
+                    (probability - 1.0).abs() < 1e-5,
+                    "octant {octant} of cell {}: {probability}",
+                    cell.index
+                );
+            }
+            for i in 0..64 {
+                let u = random(4, i, octant);
+                let p = Vec2::new(u.x, u.y);
+                let found = find_leaf(|i| table.node(i), root(&cell, octant), p);
+                let leaf = leaves.iter().find(|leaf| leaf.quarter == found.quarter).unwrap();
+                assert!(p.cmpge(leaf.low).all() && (p - leaf.low).max_element() < leaf.size, "{p}");
+                checked += 1;
+            }
+        }
+        assert!((area / (4.0 * PI) - 1.0).abs() < 1e-12, "leaves cover {area}");
+    }
+    assert_eq!(deepest, 0.5f32.powi(MAX_DEPTH as i32), "no tree is as deep as it may be");
+    assert!(checked > 10_000, "{checked}");
+}
+
+/// What is wrong with a table's numbers, if anything.
+fn table_fault(table: &GuideTable) -> Option<String> {
+    let u = &table.uniforms;
+    let share = |v: f32| (0.0..=1.0).contains(&v);
+    for cell in cells(table) {
+        let sum: f32 = cell.octants.iter().sum();
+        let adaptive = u.sectors > 1;
+        let right = cell.octants.iter().all(|q| q.is_finite() && *q >= 0.0)
+            && (!adaptive || cell.trust == 0.0 || (sum - 1.0).abs() < 1e-5)
+            && cell.irradiance.is_finite()
+            && cell.irradiance >= 0.0
+            && share(cell.trust);
+        if !right {
+            return Some(format!("{cell:?}"));
+        }
+    }
+    for i in 0..u.node_count {
+        let node = table.node(i);
+        let children =
+            (0..4).filter_map(|quarter| node.child(quarter)).all(|child| child < u.node_count && child > i);
+        if !(share(node.low_phi) && node.low_z.iter().all(|z| share(*z)) && children) {
+            return Some(format!("{i}: {node:?}"));
+        }
+    }
+    None
+}
+
+#[test]
+fn learnt_tables_hold_probabilities() {
+    for mode in MODES {
+        let mut table = learnt(mode, 2).table;
+        assert_eq!(table_fault(&table), None, "{mode}");
+        assert!(
+            cells(&table).filter(|cell| cell.irradiance > 0.0).count() > 100,
+            "{mode} learnt next to nothing"
+        );
+        // Negative control: a NaN, an infinity or a negative number in a cell is found.
+        let row = (table.uniforms.cells_at + 3 * 5) as usize;
+        for wrong in [f32::NAN, f32::INFINITY, -1.0] {
+            table.rows[row][1] = wrong.to_bits();
+            assert!(table_fault(&table).is_some(), "{mode}: {wrong} was not found");
+        }
+    }
+    let finer = ADAPTIVE.table.rows[..ADAPTIVE.table.uniforms.cells_at as usize].iter().flatten();
+    let cuts = finer.filter(|word| **word != NO_CELL && **word & FINER != 0).count();
+    assert!(cuts > 8, "{cuts} cells were cut");
+}
+
+proptest! {
+    #![proptest_config(cases(20_000))]
+
+    /// Sums take what is a number of units, and nothing else.
+    #[test]
+    fn fixed_point_numbers_are_right_to_half_a_unit(value in anything(), exponent in -20i32..60) {
+        let unit = (exponent as f32).exp2();
+        let scaled = f64::from(value * unit);
+        let units = fixed(value, unit) as f64;
+        if scaled.is_finite() && scaled > 0.0 {
+            let expected = scaled.min(281_474_976_710_656.0);
+            prop_assert!((units - expected).abs() <= 0.5 + expected * 1e-7, "{value} · {unit}: {units}");
+        } else {
+            prop_assert_eq!(units, 0.0);
+        }
+    }
+}
+
+/// A pass of lessons that are no radiance leaves no trace, whatever slot they name; the same pass of right ones does.
+#[test]
+fn what_is_no_radiance_never_reaches_the_table() {
+    for mode in MODES {
+        let mut learner = learnt(mode, 3).learner;
+        let before = learner.table(true, &[]);
+        let learn = |value: f32, visit: f32| {
+            let mut learner = learner.clone();
+            let mut sums = LessonSums::new(learner.layout());
+            for slot in 0..8 * before.uniforms.cell_count {
+                sums.learn(&before, &Transition { slot, value, visited: slot, visit });
+            }
+            let lessons = sums.take();
+            learner.learn(&lessons, 1);
+            (lessons, learner.table(true, &[]))
+        };
+        for wrong in [f32::NAN, -f32::NAN, f32::INFINITY, f32::NEG_INFINITY, -1.0, -0.0, f32::MIN] {
+            let (lessons, after) = learn(wrong, wrong);
+            assert!(lessons.values.iter().chain(&lessons.visits).all(|sum| *sum == 0), "{mode}: {wrong}");
+            assert_eq!(after.rows, before.rows, "{mode}: {wrong}");
+        }
+        assert_ne!(learn(1.0, 1.0).1.rows, before.rows, "{mode} learns nothing at all");
+        assert_eq!(table_fault(&learn(f32::MAX, f32::MAX).1), None, "{mode}");
+    }
+    assert_eq!(fixed(1.0, VISIT_UNIT), 1 << 20);
+}
+
+/// ∫ max(0, n·ω)/π over an octant: over z in closed form, over φ by midpoints.
+fn share_by_quadrature(normal: Vec3, octant: u32) -> f64 {
+    const STEPS: usize = 4096;
+    let s = (normal * octant_signs(octant)).as_dvec3();
+    let inner = |phi: f64| {
+        let across = s.x * phi.cos() + s.y * phi.sin();
+        // Antiderivative of across·√(1 − z²) + s.z·z, which changes its sign at most once.
+        let at = |z: f64| 0.5 * across * (z * (1.0 - z * z).max(0.0).sqrt() + z.asin()) + 0.5 * s.z * z * z;
+        let zero = across.abs() / (across * across + s.z * s.z).sqrt().max(1e-300);
+        match (across > 0.0, s.z > 0.0) {
+            (true, true) => at(1.0),
+            (false, false) => 0.0,
+            (true, false) => at(zero.min(1.0)),
+            (false, true) => at(1.0) - at(zero.min(1.0)),
+        }
+    };
+    let step = FRAC_PI_2 / STEPS as f64;
+    (0..STEPS).map(|i| step * inner(step * (i as f64 + 0.5))).sum::<f64>() / PI
+}
+
+fn share_error(normal: Vec3, octant: u32, share: f32) -> f64 {
+    (f64::from(share) - share_by_quadrature(normal, octant)).abs()
+}
+
+proptest! {
+    #![proptest_config(cases(400))]
+
+    #[test]
+    fn octant_shares_are_right_to_a_millionth(n in normal()) {
+        let shares: Vec<f32> = (0..8).map(|octant| octant_share(n, octant)).collect();
+        prop_assert!((shares.iter().sum::<f32>() - 1.0).abs() < 1e-6, "{n:?}: {shares:?}");
+        for octant in 0..8 {
+            let error = share_error(n, octant, shares[octant as usize]);
+            prop_assert!(error < 1e-6, "{n:?}, octant {octant}: {} is {error:e} off", shares[octant as usize]);
+        }
+    }
+}
+
+#[test]
+fn octant_shares_are_right_at_axes_and_next_to_them() {
+    for axis in Vec3::AXES.into_iter().flat_map(|axis| [axis, -axis]) {
+        for octant in 0..8 {
+            let expected = if axis.dot(octant_signs(octant)) > 0.0 { 0.25 } else { 0.0 };
+            assert!((octant_share(axis, octant) - expected).abs() < 1e-7, "{axis}");
+        }
+        for tilt in [1e-8f32, 1e-5, 1e-4, 3e-4, 1e-3, 1e-2] {
+            for towards in [Vec3::new(0.3, 0.6, -0.7), Vec3::new(-1.0, 0.0, 0.5), Vec3::ONE] {
+                let n = (axis + tilt * towards).normalize();
+                for octant in 0..8 {
+                    let error = share_error(n, octant, octant_share(n, octant));
+                    assert!(error < 1e-6, "{n:?}, octant {octant}: {error:e} off");
+                }
+            }
+        }
+    }
+    // Negative control: a normal a thousandth off is found.
+    let n = Vec3::new(0.6, -0.5, 0.3).normalize();
+    assert!(share_error(n, 0, octant_share((n + Vec3::X * 1e-3).normalize(), 0)) > 1e-5);
+}

@@ -1,0 +1,226 @@
+//! Guided directions against their densities, on the CPU: octants, quadtrees, Bansal's rule, and each of them mixed with
+//! the material's own choice.
+//!
+//! As in samplers.rs, each χ² test has α = 1e-4, and a density a few per cent off must have a chance below 1e-9.
+
+use crate::samplers::{ALPHA, Cells, WRONG};
+use crate::support::scene;
+use crate::tables::*;
+use glam::{Vec3, Vec4Swizzles};
+use qtracer::Sampler;
+use qtracer::accel::ShapeLanes;
+use qtracer::guiding::octant::{octant_of, octant_share, pdf_in_octant, sample_in_octant};
+use qtracer::guiding::table::{adaptive, bansal, octants};
+use qtracer::guiding::{GuideMode, LessonLayout, LessonSums};
+use qtracer::random::{SampleKey, sample4};
+use qtracer::sampling::pdf_cosine;
+use qtracer::scene::compiled::{CompiledScene, KIND_DIFFUSE, KIND_MIRROR, Material, Uniforms};
+use qtracer::scene::shapes::Surface;
+use qtracer::transport::guide::{Guidance, GuidePoint};
+use qtracer::transport::path::Transport;
+
+/// Cells whose quadrature has the edges of octants and of all quadtree leaves between its points.
+fn compass() -> Cells {
+    Cells { rows: 16, columns: 32, ..Cells::sphere(Vec3::Z) }
+}
+
+fn key(sample: u32) -> SampleKey {
+    SampleKey { pixel: 3, sample, seed: 43 }
+}
+
+/// The numbers of a guided choice.
+fn numbers(i: u32) -> glam::Vec4 {
+    sample4(Sampler::Independent, key(i), qtracer::random::dimension_guide(0, 0))
+}
+
+/// p-value of draws against their density, which must integrate to 1.
+fn follows(what: &str, sample: impl Fn(u32) -> Vec3, pdf: impl Fn(Vec3) -> f32) {
+    let pdf = |d: Vec3| f64::from(pdf(d));
+    let integrals = compass().integrate(pdf);
+    let integral: f64 = integrals.iter().sum();
+    assert!((integral - 1.0).abs() < 1e-3, "{what}: the density integrates to {integral}");
+    let p = compass().chi2_of(|i| Some(sample(i)), &integrals);
+    assert!(p > ALPHA, "{what}: p = {p}");
+}
+
+/// The same draws do not follow this density.
+fn does_not_follow(what: &str, sample: impl Fn(u32) -> Vec3, pdf: impl Fn(Vec3) -> f32) {
+    let p = compass().chi2(|i| Some(sample(i)), |d| f64::from(pdf(d)));
+    assert!(p < WRONG, "{what}: a wrong density passes with p = {p}");
+}
+
+/// Along an axis, almost, close to the diagonal, askew, in the plane between two axes.
+fn normals() -> [Vec3; 6] {
+    [
+        Vec3::Y,
+        Vec3::new(1e-4, -1.0, 1e-3),
+        Vec3::new(0.55, 0.6, -0.58),
+        Vec3::new(-0.1, 0.3, 0.95),
+        Vec3::new(0.7, -0.7, 0.0),
+        Vec3::new(-0.9, -0.2, 0.05),
+    ]
+    .map(Vec3::normalize)
+}
+
+#[test]
+fn directions_in_an_octant_follow_their_density() {
+    let (mut whole, mut cut) = (0, 0);
+    for normal in normals() {
+        for octant in (0..8).filter(|&octant| octant_share(normal, octant) > 1e-3) {
+            let sample = |i| sample_in_octant(normal, octant, numbers(i), Sampler::Independent, key(i), 0);
+            let inside = |d: Vec3| octant_of(d) == octant;
+            let pdf = |d: Vec3| if inside(d) { pdf_in_octant(normal, octant, d) } else { 0.0 };
+            follows(&format!("octant {octant} about {normal}"), sample, pdf);
+            let is_cut = (normal * qtracer::guiding::octant::octant_signs(octant)).min_element() < 0.0;
+            *if is_cut { &mut cut } else { &mut whole } += 1;
+        }
+    }
+    assert!(whole >= 6 && cut >= 10, "{whole} whole octants, {cut} cut ones");
+    // Negative control: the product of cosine and octant, as if draws were repeated until one is above the horizon.
+    let (normal, octant) = (normals()[2], octant_of(Vec3::new(1.0, -1.0, -1.0)));
+    let sample = |i| sample_in_octant(normal, octant, numbers(i), Sampler::Independent, key(i), 0);
+    let share = octant_share(normal, octant);
+    let product = |d: Vec3| if octant_of(d) == octant { pdf_cosine(normal.dot(d)) / share } else { 0.0 };
+    does_not_follow("exact product", sample, product);
+}
+
+#[test]
+fn octant_directions_follow_their_density() {
+    let learnt = learnt(GuideMode::Octant, 5);
+    for (i, normal) in normals().into_iter().enumerate() {
+        let (cell, _) = learnt.cell(i as u32);
+        let mean = octants::mean_radiance(&cell, normal);
+        let sample = |i| octants::sample(&cell, normal, mean, numbers(i), Sampler::Independent, key(i), 0);
+        let pdf = |d| octants::density(&cell, normal, mean, d).pdf;
+        follows(&format!("octants about {normal}"), sample, pdf);
+        // Negative control: 10 % more in one octant of those that matter.
+        let most = (0..8).max_by_key(|&a| (cell.octants[a as usize] * octant_share(normal, a) * 1e6) as u32);
+        let wrong = |d| if Some(octant_of(d)) == most { 1.1 * pdf(d) } else { pdf(d) };
+        does_not_follow("a tenth more", sample, wrong);
+    }
+}
+
+#[test]
+fn quadtree_directions_follow_their_density() {
+    for seed in [6, 7] {
+        let learnt = learnt(GuideMode::Adaptive, seed);
+        for i in [0, 1, 2, 11, 25] {
+            let (cell, _) = learnt.cell(i);
+            let sample = |i| adaptive::sample(&learnt.table, &cell, numbers(i).w, numbers(i).yz());
+            let pdf = |d| adaptive::density(&learnt.table, &cell, d).pdf;
+            follows(&format!("quadtrees of cell {}", cell.index), sample, pdf);
+            let uniform = 0.25 * std::f32::consts::FRAC_1_PI;
+            does_not_follow("a twentieth uniform", sample, |d| 0.95 * pdf(d) + 0.05 * uniform);
+        }
+    }
+}
+
+/// What a transport needs besides its table.
+struct World {
+    scene: CompiledScene,
+    lanes: ShapeLanes,
+    uniforms: Uniforms,
+    learnt: Learnt,
+    sums: LessonSums,
+}
+
+impl World {
+    fn new(mode: GuideMode, seed: u32) -> World {
+        let scene = CompiledScene::new(&scene("cornell-box"));
+        let learnt = learnt(mode, seed);
+        let sums = LessonSums::new(LessonLayout::new(&learnt.table.uniforms));
+        World { lanes: ShapeLanes::new(&scene), uniforms: Uniforms::default(), scene, learnt, sums }
+    }
+
+    fn transport(&self) -> Transport<'_> {
+        let guidance = Guidance { mode: self.learnt.mode, table: &self.learnt.table, sums: &self.sums };
+        Transport { guidance: Some(guidance), ..Transport::plain(&self.scene, &self.lanes, &self.uniforms) }
+    }
+
+    /// What the guide knows at the `i`-th surface point, at a surface that turns `normal` that way.
+    fn point(&self, i: u32, normal: Vec3, material: &Material) -> GuidePoint {
+        let surface = Surface { position: surface_point(77, i).0, normal, offset: 0.0 };
+        self.transport().guide_point(&surface, normal, material).expect("a Lambertian lobe")
+    }
+}
+
+fn diffuse() -> Material {
+    Material { color: Vec3::splat(0.5), kind: KIND_DIFFUSE, ..Default::default() }
+}
+
+/// The numbers with which a material draws its own directions.
+fn own_numbers(i: u32) -> glam::Vec2 {
+    sample4(Sampler::Independent, key(i), 1).xy()
+}
+
+#[test]
+fn redrawn_directions_follow_the_density_that_bansal_left_out() {
+    let world = World::new(GuideMode::BansalReweighted, 8);
+    let transport = world.transport();
+    let threshold = world.learnt.table.uniforms.threshold;
+    let mut rules = 0;
+    for (i, normal) in normals().into_iter().enumerate() {
+        let point = world.point(4 * i as u32, normal, &diffuse());
+        let sample = |i| transport.guided_direction(&point, normal, own_numbers(i), key(i), 0);
+        let pdf = |d| bansal::pdf(&point.cell, threshold, normal, d);
+        follows(&format!("Bansal's rule about {normal}"), sample, pdf);
+        assert!(uniform_directions().all(|d| pdf(d) == transport.guided_pdf(&point, normal, d)));
+        let accepted: f32 = (0..8)
+            .filter(|&a| bansal::accepts(&point.cell, threshold, a))
+            .map(|a| octant_share(normal, a))
+            .sum();
+        // Negative control: the cosine, which Bansal divides by.
+        if (0.02..0.98).contains(&accepted) {
+            rules += 1;
+            does_not_follow("the cosine alone", sample, |d| pdf_cosine(normal.dot(d)));
+        }
+    }
+    assert!(rules >= 3, "in {rules} cells only does the rule redraw");
+}
+
+fn uniform_directions() -> impl Iterator<Item = Vec3> {
+    (0..500).map(|i| uniform_direction(31, i))
+}
+
+/// What a surface chooses in all: the guide's directions and its own, in cells that trust their guide.
+#[test]
+fn mixed_directions_follow_their_density() {
+    for mode in [GuideMode::Adaptive, GuideMode::Octant] {
+        let world = World::new(mode, 9);
+        let transport = world.transport();
+        for i in 0..6 {
+            let material = match i % 2 {
+                0 => diffuse(),
+                _ => Material { kind: KIND_MIRROR, parameter: 0.3, ..diffuse() },
+            };
+            let normal =
+                if mode == GuideMode::Octant { normals()[i as usize] } else { surface_point(77, i).1 };
+            let point = world.point(i, normal, &material);
+            assert!(point.mixture > 0.2, "{mode}: cell {i} is hardly guided: {}", point.mixture);
+            let sample = |i| transport.guided_direction(&point, normal, own_numbers(i), key(i), 0);
+            let pdf = |d| transport.guided_pdf(&point, normal, d) / point.share;
+            follows(&format!("{mode}, cell {i}"), sample, pdf);
+            assert!(uniform_directions().all(|d| {
+                transport.guided_density(&point, normal, d).pdf == transport.guided_pdf(&point, normal, d)
+            }));
+            // Negative control: up to a fifth more towards one side.
+            does_not_follow(&format!("{mode}: askew"), sample, |d| pdf(d) * (1.0 + 0.2 * d.x));
+        }
+    }
+}
+
+/// Before a cell has learnt, and where there is none, directions are the material's own.
+#[test]
+fn where_nothing_was_learnt_nothing_is_guided() {
+    for mode in MODES {
+        let mut world = World::new(mode, 10);
+        world.learnt.table = new_learner(mode).table(true, &[]);
+        let transport = world.transport();
+        let normal = normals()[3];
+        let point = world.point(0, normal, &diffuse());
+        assert_eq!((point.mixture, point.mean), (0.0, 0.0), "{mode}");
+        for d in uniform_directions() {
+            assert_eq!(transport.guided_pdf(&point, normal, d), pdf_cosine(normal.dot(d)), "{mode}");
+        }
+    }
+}
