@@ -1,6 +1,7 @@
 //! The CPU engine: the transport functions over rayon. Also what renders where there is no GPU.
 
-use super::{CancelToken, Engine, EngineKind, Estimators, RenderError, RenderStats, Strategy};
+use super::strategy::{Pass, Strategy};
+use super::{CancelToken, Engine, EngineKind, Estimators, RenderError, RenderStats};
 use crate::accel::ShapeLanes;
 use crate::film::Film;
 use crate::guiding::{GuideTable, LessonLayout, LessonSums, Lessons};
@@ -112,9 +113,9 @@ impl Engine for CpuEngine {
         Ok(())
     }
 
-    fn set_strategy(&mut self, strategy: Strategy) -> Result<(), RenderError> {
-        self.strategy = strategy;
-        self.uniforms.roulette_scale = strategy.roulette_scale;
+    fn set_pass(&mut self, pass: &Pass) -> Result<(), RenderError> {
+        self.strategy = pass.strategy;
+        self.uniforms.roulette_scale = pass.strategy.roulette_scale;
         Ok(())
     }
 

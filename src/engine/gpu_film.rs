@@ -1,6 +1,7 @@
 //! What both GPU engines share: the scene's buffers, the radiance of a batch, its sums, its way to the host.
 
-use super::{Batch, RenderError, RenderStats, Strategy};
+use super::strategy::Pass;
+use super::{Batch, RenderError, RenderStats};
 use crate::film::{BlockSum, Film};
 use crate::gpu::buffers::Buffers;
 use crate::gpu::device::Gpu;
@@ -29,8 +30,8 @@ pub struct GpuFilm {
     /// What the kernels in use can do.
     pub key: KernelKey,
     pub kernels: HashMap<Stage, Kernel>,
-    /// Kernels for the other strategy, where one does without the table.
-    spare: Option<(KernelKey, HashMap<Stage, Kernel>)>,
+    /// Kernels for other passes: those that only ask the table, those that do without.
+    spares: Vec<(KernelKey, HashMap<Stage, Kernel>)>,
     pub buffers: Buffers,
     pub uniforms: Uniforms,
     pub stats: RenderStats,
@@ -86,7 +87,8 @@ impl GpuFilm {
         let compile = |key: &KernelKey| compile_stages(&gpu, key, &stages(key), schedule);
         let key = keys.own;
         let kernels = compile(&key)?;
-        let spare = keys.plain.map(|plain| Ok::<_, RenderError>((plain, compile(&plain)?))).transpose()?;
+        let others = key.teaches.then(|| key.frozen()).into_iter().chain(keys.plain);
+        let spares = others.map(|key| Ok((key, compile(&key)?))).collect::<Result<_, RenderError>>()?;
         let pixels = u64::from(uniforms.width) * u64::from(uniforms.height);
         let batch = match (gpu.summary.software, gpu.summary.integrated) {
             (true, _) => BATCH_PATHS_SOFTWARE,
@@ -110,7 +112,7 @@ impl GpuFilm {
             gpu,
             key,
             kernels,
-            spare,
+            spares,
             buffers: Buffers::default(),
             uniforms,
             max_paths,
@@ -126,22 +128,24 @@ impl GpuFilm {
 
     /// Whether any kernel binds a buffer of this name.
     pub fn is_bound(&self, name: &str) -> bool {
-        let spare = self.spare.iter().flat_map(|(_, kernels)| kernels.values());
-        self.kernels.values().chain(spare).any(|k| k.bindings.iter().any(|(_, bound)| bound == name))
+        let spares = self.spares.iter().flat_map(|(_, kernels)| kernels.values());
+        self.kernels.values().chain(spares).any(|k| k.bindings.iter().any(|(_, bound)| bound == name))
     }
 
     /// Whether anything may be learnt, by the kernels in use or the others.
     pub fn may_learn(&self) -> bool {
-        self.key.guide.is_some() || self.spare.as_ref().is_some_and(|(key, _)| key.guide.is_some())
+        self.key.teaches || self.spares.iter().any(|(key, _)| key.teaches)
     }
 
-    /// Takes the kernels for a strategy; true if others were in use.
-    pub fn set_strategy(&mut self, strategy: Strategy) -> bool {
-        self.uniforms.roulette_scale = strategy.roulette_scale;
-        if strategy.informed == self.key.guide.is_some() {
+    /// Takes the kernels for a pass; true if others were in use.
+    pub fn set_pass(&mut self, pass: &Pass) -> bool {
+        self.uniforms.roulette_scale = pass.strategy.roulette_scale;
+        let fits =
+            |key: &KernelKey| key.guide.is_some() == pass.strategy.informed && key.teaches == pass.teaches();
+        if fits(&self.key) {
             return false;
         }
-        if let Some((key, kernels)) = &mut self.spare {
+        if let Some((key, kernels)) = self.spares.iter_mut().find(|(key, _)| fits(key)) {
             std::mem::swap(&mut self.key, key);
             std::mem::swap(&mut self.kernels, kernels);
         }

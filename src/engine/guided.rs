@@ -47,7 +47,7 @@ impl Guided {
         let mut planner = Planner::new(options, estimators, engine.kind(), shapes);
         let pass = planner.first();
         let pixels = uniforms.width * uniforms.height;
-        engine.set_strategy(pass.strategy)?;
+        engine.set_pass(&pass)?;
         engine.set_guide(learner.table(pass.learning, &vec![0.0; pixels as usize]))?;
         Ok(Some(Guided {
             learner,
@@ -81,13 +81,13 @@ impl Guided {
         let taken = samples - self.spent.0;
         // Cut from what the engine counts in all.
         let rays_per_path = (rays - self.spent.1) as f64 / (f64::from(taken) * self.pixels);
-        if self.pass.learning && self.pass.strategy.informed {
+        if self.pass.teaches() {
             self.learner.learn(&engine.take_lessons()?, taken);
         }
         self.planner.judge(&self.pass, self.combined.variance(), rays_per_path);
         self.pass = self.planner.next(samples);
         self.spent = (samples, rays);
-        engine.set_strategy(self.pass.strategy)?;
+        engine.set_pass(&self.pass)?;
         if self.pass.strategy.informed {
             engine.set_guide(self.learner.table(self.pass.learning, &estimates))?;
         }

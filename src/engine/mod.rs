@@ -25,7 +25,7 @@ pub use options::{EngineChoice, EngineKind, RenderOptions};
 pub use renderer::Renderer;
 pub use show::GuideView;
 pub use stats::{GuideStats, RenderStats};
-pub use strategy::Strategy;
+pub use strategy::{Pass, Strategy};
 
 use crate::film::Film;
 use crate::guiding::{GuideTable, Lessons};
@@ -58,8 +58,8 @@ pub trait Engine: Send {
     fn render(&mut self, range: Range<u32>, film: &mut Film, cancel: &CancelToken)
     -> Result<(), RenderError>;
 
-    /// Traces paths this way from now on.
-    fn set_strategy(&mut self, strategy: Strategy) -> Result<(), RenderError>;
+    /// Traces paths as this pass asks from now on.
+    fn set_pass(&mut self, pass: &Pass) -> Result<(), RenderError>;
 
     /// Puts a table in place: from now on it guides paths, and what they teach is added up from zero.
     fn set_guide(&mut self, table: GuideTable) -> Result<(), RenderError>;

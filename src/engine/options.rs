@@ -40,7 +40,7 @@ impl fmt::Display for EngineKind {
 }
 
 /// Scale of learnt roulette that suits most scenes.
-const LEARNT_SCALE: f32 = 2.0;
+const LEARNT_SCALE: f32 = 2.5;
 
 /// Options of a render; `None` means what the scene says.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -29,14 +29,21 @@ pub struct Pass {
     pub trial: bool,
 }
 
+impl Pass {
+    /// Whether its paths teach the table.
+    pub fn teaches(&self) -> bool {
+        self.learning && self.strategy.informed
+    }
+}
+
 /// Samples per pixel of the first pass.
 const FIRST_PASS: u32 = 2;
 /// Trials after so many samples per pixel, and samples of each. A guide that is far off at the first is given up there.
 const TRIALS: [(u32, u32); 2] = [(64, 8), (256, 16)];
 /// At the first trial: how many times worse than plain tracing a guide may be to be given the second.
 const HOPELESS: f64 = 2.5;
-/// Scales of learnt roulette that are tried.
-const LEARNT_SCALES: [f32; 2] = [2.5, 8.0];
+/// … and how much better it must be to be spared it.
+const CLEARLY_BETTER: f64 = 0.5;
 /// Plain tracing's roulette: the best of 1, 4, 16 and off on most scenes (docs/PERFORMANCE.md).
 const PLAIN: Strategy = Strategy { informed: false, roulette: Roulette::Throughput, roulette_scale: 4.0 };
 
@@ -68,58 +75,39 @@ impl CostModel {
     }
 }
 
-/// The strategies to be tried, the one that learns first. A single one where nothing is to be compared.
-fn strategies(options: &RenderOptions, estimators: Estimators) -> Vec<Strategy> {
-    let Estimators { roulette, roulette_scale, .. } = estimators;
-    let own = Strategy { informed: true, roulette, roulette_scale };
-    if !options.guide.trial || estimators.guide == GuideMode::Off {
-        return vec![own];
-    }
-    let plain = match roulette {
-        Roulette::Off => Strategy { informed: false, ..own },
-        _ => PLAIN,
-    };
-    if roulette != Roulette::Learnt || options.roulette_scale.is_some() {
-        return vec![own, plain];
-    }
-    let scales = LEARNT_SCALES.map(|roulette_scale| Strategy { roulette_scale, ..own });
-    scales.into_iter().chain([plain]).collect()
-}
-
-/// The strategy that does without the table, if it is tried.
+/// The strategy that does without the table, None if it is not to be tried.
 pub fn plain_strategy(options: &RenderOptions, estimators: Estimators) -> Option<Strategy> {
-    strategies(options, estimators).into_iter().find(|strategy| !strategy.informed)
+    let tried = options.guide.trial && estimators.guide != GuideMode::Off;
+    tried.then_some(match estimators.roulette {
+        Roulette::Off => Strategy { roulette: Roulette::Off, ..PLAIN },
+        _ => PLAIN,
+    })
 }
 
 /// Decides the passes of a render.
 #[derive(Clone, Debug)]
 pub struct Planner {
-    arms: Vec<Arm>,
-    /// The arm that learns, or that was chosen.
-    chosen: usize,
+    informed: Judged,
+    /// None once it is out of question.
+    plain: Option<Judged>,
+    /// The next trial, or the one going on.
+    round: usize,
+    trying: bool,
     learning_samples: u32,
     costs: CostModel,
-    trial: Trial,
 }
 
-/// A strategy and its noise × cost, from when it was last judged.
+/// A strategy and its noise × cost when it was last judged.
 #[derive(Clone, Copy, Debug)]
-struct Arm {
+struct Judged {
     strategy: Strategy,
-    judged: f64,
+    noise_cost: f64,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Trial {
-    /// Before trial number `usize`.
-    Before(usize),
-    /// Trial number `round` is at this arm; learning goes on from `resume` samples.
-    At {
-        round: usize,
-        arm: usize,
-        resume: u32,
-    },
-    Over,
+impl Judged {
+    fn new(strategy: Strategy) -> Judged {
+        Judged { strategy, noise_cost: f64::INFINITY }
+    }
 }
 
 impl Planner {
@@ -129,13 +117,13 @@ impl Planner {
         engine: EngineKind,
         shapes: usize,
     ) -> Planner {
-        let strategies = strategies(options, estimators);
-        let tried = strategies.len() > 1;
+        let Estimators { roulette, roulette_scale, .. } = estimators;
         let tests = shapes * if estimators.direct_light { 2 } else { 1 };
         Planner {
-            trial: if tried { Trial::Before(0) } else { Trial::Over },
-            arms: strategies.into_iter().map(|strategy| Arm { strategy, judged: f64::INFINITY }).collect(),
-            chosen: 0,
+            informed: Judged::new(Strategy { informed: true, roulette, roulette_scale }),
+            plain: plain_strategy(options, estimators).map(Judged::new),
+            round: 0,
+            trying: false,
             learning_samples: options.guide.learning_samples,
             costs: CostModel::new(engine, tests),
         }
@@ -143,70 +131,56 @@ impl Planner {
 
     /// The first pass. Even without a lesson there is something to be found out: the estimates of the pixels.
     pub fn first(&mut self) -> Pass {
-        Pass {
-            strategy: self.arms[self.chosen].strategy,
-            end: FIRST_PASS,
-            learning: self.learning_samples > 0,
-            trial: false,
-        }
+        let learning = self.learning_samples > 0;
+        Pass { strategy: self.informed.strategy, end: FIRST_PASS, learning, trial: false }
     }
 
     /// Takes in what a pass was worth: the variance of a sample, the rays of a path.
     pub fn judge(&mut self, pass: &Pass, variance: f64, rays: f64) {
-        let judged = variance * self.costs.of(&pass.strategy, rays);
-        if let Some(arm) = self.arms.iter_mut().find(|arm| arm.strategy == pass.strategy) {
-            arm.judged = judged;
+        let noise_cost = variance * self.costs.of(&pass.strategy, rays);
+        match &mut self.plain {
+            Some(plain) if !pass.strategy.informed => plain.noise_cost = noise_cost,
+            _ => self.informed.noise_cost = noise_cost,
         }
     }
 
     /// The pass after `samples` samples per pixel.
     pub fn next(&mut self, samples: u32) -> Pass {
-        match self.trial {
-            Trial::Before(round) if samples >= TRIALS[round].0 => {
-                self.trial = Trial::At { round, arm: 0, resume: samples };
+        if self.trying {
+            self.trying = false;
+            if self.guide_is_given_up() {
+                let strategy = self.plain.map_or(PLAIN, |plain| plain.strategy);
+                return Pass { strategy, end: u32::MAX, learning: false, trial: false };
             }
-            Trial::At { round, arm, resume } => {
-                self.trial = Trial::At { round, arm: arm + 1, resume };
-            }
-            _ => (),
+            self.round += 1;
         }
-        if let Trial::At { round, arm, resume } = self.trial {
-            // The arm that learnt until now was judged by its last pass.
-            let next = (arm..self.arms.len()).find(|&arm| arm != self.chosen);
-            if let Some(arm) = next {
-                self.trial = Trial::At { round, arm, resume };
-                let strategy = self.arms[arm].strategy;
-                let end = samples + TRIALS[round].1;
-                return Pass { strategy, end, learning: strategy.informed, trial: true };
+        match (self.plain, TRIALS.get(self.round)) {
+            (Some(plain), Some(&(from, count))) if samples >= from => {
+                self.trying = true;
+                Pass { strategy: plain.strategy, end: samples + count, learning: false, trial: true }
             }
-            self.decide(round);
+            _ => self.learn_on(samples),
         }
-        self.learn_on(samples)
     }
 
-    /// Chooses by what the trials showed.
-    fn decide(&mut self, round: usize) {
-        let best = |informed: bool| {
-            let arms = (0..self.arms.len()).filter(|&i| self.arms[i].strategy.informed == informed);
-            arms.min_by(|&a, &b| self.arms[a].judged.total_cmp(&self.arms[b].judged))
-        };
-        let (Some(guided), Some(plain)) = (best(true), best(false)) else { return };
-        let ratio = self.arms[guided].judged / self.arms[plain].judged;
-        let last = round + 1 == TRIALS.len();
-        (self.chosen, self.trial) = match ratio {
-            r if r > HOPELESS || last && r > 1.0 => (plain, Trial::Over),
-            r if last || r <= 0.5 => (guided, Trial::Over),
-            _ => (guided, Trial::Before(round + 1)),
-        };
+    /// Whether the trial that just ended speaks against the guide. One that speaks clearly for it is the last.
+    fn guide_is_given_up(&mut self) -> bool {
+        let Some(plain) = self.plain else { return false };
+        let ratio = self.informed.noise_cost / plain.noise_cost;
+        let last = self.round + 1 == TRIALS.len();
+        if !last && ratio <= CLEARLY_BETTER {
+            self.plain = None;
+        }
+        ratio > if last { 1.0 } else { HOPELESS }
     }
 
     /// Passes of doubling size while learning goes on, then one without end.
     fn learn_on(&self, samples: u32) -> Pass {
-        let strategy = self.arms[self.chosen].strategy;
-        let learning = strategy.informed && samples < self.learning_samples;
+        let learning = samples < self.learning_samples;
         let doubled = (samples + 1).next_power_of_two();
         // A pass that would be short is not worth a lesson.
         let end = if f64::from(doubled) < 1.4 * f64::from(samples) { 2 * doubled } else { doubled };
-        Pass { strategy, end: if learning { end } else { u32::MAX }, learning, trial: false }
+        let end = if learning { end } else { u32::MAX };
+        Pass { strategy: self.informed.strategy, end, learning, trial: false }
     }
 }

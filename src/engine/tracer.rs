@@ -2,7 +2,8 @@
 
 use super::batch::{batch_samples, batches, full_batch};
 use super::gpu_film::GpuFilm;
-use super::{Batch, CancelToken, Engine, EngineKind, RenderError, RenderStats, Strategy};
+use super::strategy::Pass;
+use super::{Batch, CancelToken, Engine, EngineKind, RenderError, RenderStats};
 use crate::film::Film;
 use crate::guiding::{GuideTable, Lessons};
 use std::ops::Range;
@@ -50,8 +51,8 @@ impl<T: Tracer> Engine for T {
         traced
     }
 
-    fn set_strategy(&mut self, strategy: Strategy) -> Result<(), RenderError> {
-        if self.gpu_mut().set_strategy(strategy) {
+    fn set_pass(&mut self, pass: &Pass) -> Result<(), RenderError> {
+        if self.gpu_mut().set_pass(pass) {
             self.unbind();
         }
         Ok(())

@@ -72,7 +72,8 @@ impl CombinedFilm {
         let passed = |(now, before): (&PixelSum, &PixelSum)| now.count - before.count;
         if film.pixels().iter().zip(&self.before).next().map_or(0, passed) >= JUDGED_SAMPLES {
             let variance = relative_variance(film.pixels(), &self.before, estimates, film.width() as usize);
-            self.variance = [0, 1].map(|c| if variance[c] > 0.0 { variance[c].max(LEAST_VARIANCE) } else { self.variance[c] });
+            self.variance = [0, 1]
+                .map(|c| if variance[c] > 0.0 { variance[c].max(LEAST_VARIANCE) } else { self.variance[c] });
         }
     }
 

@@ -29,6 +29,8 @@ pub struct KernelKey {
     pub guide: Option<GuideMode>,
     /// Whether it guides directions, not roulette alone.
     pub guided: bool,
+    /// Whether paths teach; afterwards the table is only asked.
+    pub teaches: bool,
     pub stratified: bool,
     /// Lengths of the scene's arrays (spheres, quads, materials, lights) if the scene is small enough for uniform buffers.
     pub small_scene: Option<[u32; 4]>,
@@ -67,9 +69,15 @@ impl KernelKey {
             roulette: estimators.roulette,
             guide: estimators.learns().then(|| estimators.table_mode()),
             guided: estimators.guide != GuideMode::Off,
+            teaches: estimators.learns(),
             stratified: estimators.sampler == Sampler::Stratified,
             small_scene: small_scene(scene),
         }
+    }
+
+    /// The same key for paths that only ask the table.
+    pub fn frozen(self) -> Self {
+        KernelKey { teaches: false, ..self }
     }
 
     /// The same key for a kernel that meets one material kind only.
@@ -97,6 +105,7 @@ impl KernelKey {
             ("learnt_roulette", self.roulette == Roulette::Learnt),
             ("learns", self.guide.is_some()),
             ("guided", self.guided),
+            ("teaches", self.teaches),
             ("adaptive", self.guide == Some(GuideMode::Adaptive)),
             ("octant", self.guide == Some(GuideMode::Octant)),
             ("bansal", self.guide.is_some_and(GuideMode::is_bansal)),

@@ -126,7 +126,7 @@ impl Stage {
         if key.direct_light {
             stages.push(Stage::Shadow);
         }
-        if key.guide.is_some() {
+        if key.teaches {
             stages.push(Stage::Learn);
         }
         stages.extend([Stage::Intersect, Stage::PrepareShade]);
@@ -199,8 +199,8 @@ impl Stage {
             ("in_place", schedule == Schedule::Compacted),
             ("pushes_hits", self == Stage::Intersect),
             ("pushes_shadows", matches!(self, Stage::Shade(_))),
-            ("pushes_transitions", scene.guide.is_some() && matches!(self, Stage::Shade(_))),
-            ("transition_queue", scene.guide.is_some() && schedule != Schedule::Fused),
+            ("pushes_transitions", scene.teaches && matches!(self, Stage::Shade(_))),
+            ("transition_queue", scene.teaches && schedule != Schedule::Fused),
             ("shadow_queue", scene.direct_light && schedule != Schedule::Fused),
         ]
     }

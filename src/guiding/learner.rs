@@ -109,11 +109,7 @@ impl Learner {
         let bansal = options.mode.is_bansal();
         let (low, high) = if bansal { (Vec3::splat(-15.0), Vec3::splat(15.0)) } else { (low, high) };
         let extent = (high - low).max_element().max(1e-6);
-        let wanted = options.cell_size.unwrap_or(if bansal {
-            0.5
-        } else {
-            extent / BASE_CELLS
-        });
+        let wanted = options.cell_size.unwrap_or(if bansal { 0.5 } else { extent / BASE_CELLS });
         let size = wanted.max(extent / MOST_CELLS);
         let margin = if bansal { 0.0 } else { 0.03 * size };
         let cells = |extent: f32| ((extent + 2.0 * margin) / size).ceil().max(1.0) as u32;
@@ -198,11 +194,7 @@ impl Learner {
             .collect();
         self.make_cells(&lessons.missing);
         if self.options.mode == GuideMode::Adaptive {
-            self.cut_cells(
-                lessons,
-                &visits,
-                SPLIT_VISITS * f64::from(samples.max(1)).sqrt(),
-            );
+            self.cut_cells(lessons, &visits, SPLIT_VISITS * f64::from(samples.max(1)).sqrt());
         }
         self.passes += 1;
         self.samples += u64::from(samples);
