@@ -79,6 +79,7 @@ impl RenderOptions {
         // A guide's gain drowns in the noise of roulette by throughput (Vorba & Křivánek 2016).
         let guided = !matches!(self.guide.mode, GuideMode::Off) && !self.guide.mode.is_bansal();
         let roulette = self.roulette.unwrap_or(match scene.defaults.roulette {
+            _ if self.guide.trial => Roulette::Learnt,
             true if guided => Roulette::Learnt,
             true => Roulette::Throughput,
             false => Roulette::Off,

@@ -19,8 +19,8 @@ fn overflow(scene: &str, schedule: Schedule, stage: Stage, limit: &str) -> Optio
     let adapter = std::env::var("QTRACER_TEST_ADAPTER").ok();
     let gpu = Gpu::open(adapter.as_deref()).expect("GPU tests need an adapter: run tests/run");
     let options = RenderOptions { schedule: Some(schedule), ..Default::default() };
-    let mut engine =
-        WavefrontEngine::new(gpu, &compiled, uniforms, key, &options).expect("the engine starts");
+    let mut engine = WavefrontEngine::new(gpu, &compiled, uniforms, Keys { own: key, plain: None }, &options)
+        .expect("the engine starts");
 
     let (from, to) = ("slot >= uniforms.capacity", format!("slot >= {limit}"));
     assert!(MODULES.iter().any(|(_, text)| text.contains(from)));
@@ -72,8 +72,8 @@ fn the_largest_pool_fits_the_adapter() {
         let gpu = Gpu::open(adapter.as_deref()).expect("GPU tests need an adapter: run tests/run");
         let options = RenderOptions { pool: Some(1 << 26), ..Default::default() };
         let uniforms = compiled.uniforms(&scene.camera, 16, 16, 1);
-        let engine =
-            WavefrontEngine::new(gpu, &compiled, uniforms, key, &options).expect("the engine starts");
+        let engine = WavefrontEngine::new(gpu, &compiled, uniforms, Keys { own: key, plain: None }, &options)
+            .expect("the engine starts");
         let largest = Batch { first_pixel: 0, pixel_count: 1 << 30, first_sample: 0, sample_count: 1 };
         let bytes = u64::from(engine.capacity(&largest)) * engine.ray_bytes();
         assert!(bytes <= engine.gpu.gpu.summary.max_binding, "{guide}: {bytes}");

@@ -14,6 +14,8 @@ const BASE_CELLS: f32 = 16.0;
 const MOST_CELLS: f32 = 128.0;
 /// Share of a cell's irradiance above which a leaf is cut, and below which four are joined.
 const SPLIT_SHARE: f32 = 0.005;
+/// Visits that a leaf should rest on before it is cut, so that trees do not learn noise.
+const SPLIT_SUPPORT: f32 = 64.0;
 /// Visits in one pass above which a cell is cut, for a pass of one sample per pixel; grows with the square root of the
 /// pass, so that cells grow finer and better known.
 const SPLIT_VISITS: f64 = 20000.0;
@@ -25,9 +27,6 @@ pub(super) const NODE_BYTES: u64 = 48;
 /// Fixed-point units per unit of radiance, as a power of two below the brightest emitter.
 const UNIT_BITS: i32 = 36;
 
-fn env(n: &str, d: f64) -> f64 {
-    std::env::var(n).ok().and_then(|v| v.parse().ok()).unwrap_or(d)
-}
 /// Why a learner can't be made or go on.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum LearnerError {
@@ -403,9 +402,7 @@ impl Pass<'_> {
 /// Cuts leaves that hold much of the cell's irradiance, one level at a time, and joins those that hold little.
 fn refine(cell: &mut CellState, depth: u32) {
     let total: f32 = cell.octants.iter().sum();
-    let limit = (env("QT_SHARE", SPLIT_SHARE as f64) as f32)
-        .max(env("QT_SUPPORT", 64.0) as f32 / cell.visits[0].max(1.0))
-        * total;
+    let limit = SPLIT_SHARE.max(SPLIT_SUPPORT / cell.visits[0].max(1.0)) * total;
     let old = std::mem::take(&mut cell.nodes);
     /// A node to be emitted: the one that it was, or the energy of the leaf that it was.
     type Source = (Option<usize>, f32, u32);

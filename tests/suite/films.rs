@@ -32,13 +32,41 @@ fn pass(trial: u32, number: u32, samples: u32, rarity: f32) -> Film {
 /// Samples and rarity of each pass: less noisy from pass to pass, as after learning.
 const PASSES: [(u32, f32); 4] = [(2, 0.02), (4, 0.1), (8, 0.3), (16, 0.5)];
 
-fn combined(trial: u32) -> CombinedFilm {
-    let estimates: Vec<f32> = (0..PIXELS).map(truth).collect();
-    let mut film = CombinedFilm::default();
-    for (number, (samples, rarity)) in (0..).zip(PASSES) {
-        film.add(&pass(trial, number, samples, rarity), &estimates);
+/// A film that grows by passes, and their combination.
+struct Grown {
+    film: Film,
+    combined: CombinedFilm,
+    estimates: Vec<f32>,
+}
+
+impl Grown {
+    fn new(estimates: Vec<f32>) -> Grown {
+        let film = Film::new(SIDE, SIDE);
+        Grown { combined: CombinedFilm::new(&film), film, estimates }
     }
-    film
+
+    fn add(&mut self, pass: &Film, trial: bool) {
+        self.film.merge(pass).unwrap();
+        self.combined.end_pass(&self.film, &self.estimates, trial);
+    }
+
+    /// The combined image and its standard error.
+    fn image(&self) -> (Vec<[f32; 3]>, Vec<[f32; 3]>) {
+        let image = self.combined.put_into(self.film.image(), &self.film, &self.estimates, false);
+        (image.rgb, image.standard_error.unwrap())
+    }
+}
+
+fn truths() -> Vec<f32> {
+    (0..PIXELS).map(truth).collect()
+}
+
+fn combined(trial: u32) -> Grown {
+    let mut grown = Grown::new(truths());
+    for (number, (samples, rarity)) in (0..).zip(PASSES) {
+        grown.add(&pass(trial, number, samples, rarity), false);
+    }
+    grown
 }
 
 /// Mean of the image relative to the truth, and what is claimed of its standard error.
@@ -56,8 +84,8 @@ fn mean_and_error(mean: &[[f32; 3]], errors: &[[f32; 3]]) -> (f64, f64) {
 fn weights_of_passes_do_not_bias_and_errors_are_the_spread() {
     let trials = 2000;
     let combine = |trial: u32| {
-        let film = combined(trial);
-        mean_and_error(&film.mean(), &film.standard_error())
+        let (mean, error) = combined(trial).image();
+        mean_and_error(&mean, &error)
     };
     let unweighted = |trial: u32| {
         let mut film = Film::new(SIDE, SIDE);
@@ -89,31 +117,53 @@ fn weights_of_passes_do_not_bias_and_errors_are_the_spread() {
 /// A short pass that missed what is rare seems to have no noise: it must not count more than the long one after it.
 #[test]
 fn a_pass_that_saw_nothing_does_not_outweigh_those_that_did() {
-    let estimates: Vec<f32> = (0..PIXELS).map(truth).collect();
     let dark = pass(1, 0, 2, 0.0);
     let bright = pass(2, 1, 1000, 0.5);
-    for estimates in [estimates, vec![0.0; PIXELS]] {
-        let mut film = CombinedFilm::default();
-        film.add(&dark, &estimates);
-        film.add(&bright, &estimates);
-        let (mean, error) = mean_and_error(&film.mean(), &film.standard_error());
+    for estimates in [truths(), vec![0.0; PIXELS]] {
+        let mut grown = Grown::new(estimates);
+        grown.add(&dark, false);
+        grown.add(&bright, false);
+        let (mean, error) = grown.image();
+        let (mean, error) = mean_and_error(&mean, &error);
         assert!((mean - 1.0).abs() < 0.01 && error < 0.01, "{mean} ± {error}");
     }
+}
+
+/// The standard error of the image after a long pass, a trial, and that pass again.
+fn error_with_a_trial(trial: &Film, is_trial: bool) -> f64 {
+    let mut grown = Grown::new(truths());
+    grown.add(&pass(6, 0, 200, 0.5), false);
+    grown.add(trial, is_trial);
+    grown.add(&pass(7, 1, 200, 0.5), false);
+    let (mean, error) = grown.image();
+    mean_and_error(&mean, &error).1
+}
+
+/// A noisy trial counts little; one that only seems noiseless counts no more than its samples, and does not hold the
+/// passes after it to its standard.
+#[test]
+fn trials_neither_spoil_nor_rule_the_image() {
+    let long = error_with_a_trial(&Film::new(SIDE, SIDE), true);
+    let noisy = error_with_a_trial(&pass(8, 2, 100, 0.01), true);
+    assert!(noisy < 1.1 * long, "{noisy} with a noisy trial, {long} without");
+    // Negative control: as a pass like any other it does spoil the image.
+    assert!(error_with_a_trial(&pass(8, 2, 100, 0.01), false) > 2.0 * long);
+    let quiet = error_with_a_trial(&pass(9, 3, 8, 0.999), true);
+    assert!((0.9..1.1).contains(&(quiet / long)), "{quiet} with a quiet trial, {long} without");
 }
 
 /// A pass on its way that has a single sample a pixel has no known error, and changes nothing; alone, it is the image.
 #[test]
 fn single_samples_count_where_there_is_nothing_else() {
-    let estimates: Vec<f32> = (0..PIXELS).map(truth).collect();
     let (single, whole) = (pass(3, 0, 1, 0.5), pass(3, 1, 64, 0.5));
-    let mut film = CombinedFilm::default();
-    film.add(&single, &estimates);
-    assert_eq!(film.mean(), single.mean());
-    let mut film = CombinedFilm::default();
-    film.add(&whole, &estimates);
-    let before = (film.mean(), film.standard_error());
-    film.add(&single, &estimates);
-    assert_eq!((film.mean(), film.standard_error()), before);
+    let mut grown = Grown::new(truths());
+    grown.add(&single, false);
+    assert_eq!(grown.image().0, single.mean());
+    let mut grown = Grown::new(truths());
+    grown.add(&whole, false);
+    let before = grown.image();
+    grown.film.merge(&single).unwrap();
+    assert_eq!(grown.image(), before);
     assert!(before.1.iter().flatten().all(|error| error.is_finite()));
 }
 
@@ -122,13 +172,10 @@ fn what_was_added_since_is_the_difference() {
     let (first, second) = (pass(4, 0, 3, 0.5), pass(5, 1, 5, 0.25));
     let mut film = first.clone();
     film.merge(&second).unwrap();
-    let since = film.since(&first);
-    assert_eq!(since.samples(), (5, 5));
-    for (a, b) in since.pixels().iter().zip(second.pixels()) {
-        assert!(
-            (0..3).all(|c| (a.sum[c] - b.sum[c]).abs() < 1e-12 && (a.sum_sq[c] - b.sum_sq[c]).abs() < 1e-11)
-        );
+    for ((now, before), added) in film.pixels().iter().zip(first.pixels()).zip(second.pixels()) {
+        let since = now.since(before);
+        assert_eq!(since.count, 5);
+        let close = |a: [f64; 3], b: [f64; 3], most: f64| (0..3).all(|c| (a[c] - b[c]).abs() < most);
+        assert!(close(since.sum, added.sum, 1e-12) && close(since.sum_sq, added.sum_sq, 1e-11));
     }
-    assert_eq!(film.since(&Film::new(SIDE, SIDE)), film);
-    assert_eq!(film.since(&film).samples(), (0, 0));
 }
