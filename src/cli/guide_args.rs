@@ -262,6 +262,7 @@ mod tests {
         let all = "--guide octant --guide-cell 0.25 --guide-depth 3 --guide-mixture 0.9 --guide-alpha 0.5 \
                    --guide-discount 0.7 --guide-threshold 0.6 --guide-learning 64 --guide-memory 1M";
         let expected = GuideOptions {
+            trial: false,
             mode: GuideMode::Octant,
             cell_size: Some(0.25),
             depth: 3,

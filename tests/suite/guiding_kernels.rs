@@ -17,7 +17,7 @@ use qtracer::gpu::kernel::Kernel;
 use qtracer::gpu::key::KernelKey;
 use qtracer::gpu::link::{MODULES, link_modules};
 use qtracer::gpu::stage::{Schedule, Stage, WORKGROUP};
-use qtracer::guiding::octant::{octant_of, octant_share};
+use qtracer::guiding::octant::{octant_of, octant_share, octant_shares};
 use qtracer::guiding::quadtree::{MAX_DEPTH, octant_coordinates};
 use qtracer::guiding::table::{CellPlace, NO_CELL, adaptive, octants};
 use qtracer::guiding::{GuideMode, GuideTable, LessonLayout, LessonSums};
@@ -224,12 +224,13 @@ fn octants_have_the_same_densities_on_the_gpu() {
     let gpu = open_gpu();
     let kernel = probe(
         "import package::guiding::octant::{octant_of, octant_share};
-        import package::guiding::table::{cell_at, octants_density, octants_mean_radiance};",
+        import package::guiding::table::{cell_at, octants_density, octant_shares, octants_mean_radiance};",
         "let normal = bitcast<vec3<f32>>(a.xyz);
         let direction = bitcast<vec3<f32>>(b.xyz);
         let cell = cell_at(a.w);
-        let mean = octants_mean_radiance(cell, normal);
-        let density = octants_density(cell, normal, mean, direction);
+        let shares = octant_shares(normal);
+        let mean = octants_mean_radiance(cell, shares);
+        let density = octants_density(cell, normal, shares, mean, direction);
         let share = octant_share(normal, octant_of(direction));
         out = vec4<u32>(density.slot, bitcast<u32>(density.pdf), bitcast<u32>(share), bitcast<u32>(mean));",
     );
@@ -243,8 +244,8 @@ fn octants_have_the_same_densities_on_the_gpu() {
     let questions: Vec<Question> = asked.iter().map(|(cell, n, d)| question(*n, cell.index, *d)).collect();
     let answers = ask(&gpu, GuideMode::Octant, &kernel, &learnt.table, &questions);
     for ((cell, normal, direction), answer) in asked.iter().zip(&answers) {
-        let mean = octants::mean_radiance(cell, *normal);
-        let expected = octants::density(cell, *normal, mean, *direction);
+        let mean = octants::mean_radiance(cell, &octant_shares(*normal));
+        let expected = octants::density(cell, *normal, &octant_shares(*normal), mean, *direction);
         let share = octant_share(*normal, octant_of(*direction));
         let [pdf, gpu_share, gpu_mean] = [answer[1], answer[2], answer[3]].map(f32::from_bits);
         let what =

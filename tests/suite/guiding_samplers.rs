@@ -9,7 +9,7 @@ use crate::tables::*;
 use glam::{Vec3, Vec4Swizzles};
 use qtracer::Sampler;
 use qtracer::accel::ShapeLanes;
-use qtracer::guiding::octant::{octant_of, octant_share, pdf_in_octant, sample_in_octant};
+use qtracer::guiding::octant::{octant_of, octant_share, octant_shares, pdf_in_octant, sample_in_octant};
 use qtracer::guiding::table::{adaptive, bansal, octants};
 use qtracer::guiding::{GuideMode, LessonLayout, LessonSums};
 use qtracer::random::{SampleKey, sample4};
@@ -69,7 +69,9 @@ fn directions_in_an_octant_follow_their_density() {
         for octant in (0..8).filter(|&octant| octant_share(normal, octant) > 1e-3) {
             let sample = |i| sample_in_octant(normal, octant, numbers(i), Sampler::Independent, key(i), 0);
             let inside = |d: Vec3| octant_of(d) == octant;
-            let pdf = |d: Vec3| if inside(d) { pdf_in_octant(normal, octant, d) } else { 0.0 };
+            let pdf = |d: Vec3| {
+                if inside(d) { pdf_in_octant(normal, octant, octant_share(normal, octant), d) } else { 0.0 }
+            };
             follows(&format!("octant {octant} about {normal}"), sample, pdf);
             let is_cut = (normal * qtracer::guiding::octant::octant_signs(octant)).min_element() < 0.0;
             *if is_cut { &mut cut } else { &mut whole } += 1;
@@ -89,9 +91,11 @@ fn octant_directions_follow_their_density() {
     let learnt = learnt(GuideMode::Octant, 5);
     for (i, normal) in normals().into_iter().enumerate() {
         let (cell, _) = learnt.cell(i as u32);
-        let mean = octants::mean_radiance(&cell, normal);
-        let sample = |i| octants::sample(&cell, normal, mean, numbers(i), Sampler::Independent, key(i), 0);
-        let pdf = |d| octants::density(&cell, normal, mean, d).pdf;
+        let shares = octant_shares(normal);
+        let mean = octants::mean_radiance(&cell, &shares);
+        let sample =
+            |i| octants::sample(&cell, normal, &shares, mean, numbers(i), Sampler::Independent, key(i), 0);
+        let pdf = |d| octants::density(&cell, normal, &shares, mean, d).pdf;
         follows(&format!("octants about {normal}"), sample, pdf);
         // Negative control: 10 % more in one octant of those that matter.
         let most = (0..8).max_by_key(|&a| (cell.octants[a as usize] * octant_share(normal, a) * 1e6) as u32);
