@@ -81,7 +81,7 @@ fn ask(
         ("questions", bytemuck::cast_slice(questions), storage),
         ("answers", bytemuck::cast_slice(&answers), storage),
         ("guide_rows", bytemuck::cast_slice(&table.rows), storage),
-        ("guide", bytemuck::bytes_of(&table.uniforms), BufferUsages::UNIFORM),
+        ("guide", bytemuck::bytes_of(&table.uniforms), storage),
     ] {
         buffers.upload(gpu, name, bytes, usage).unwrap();
     }

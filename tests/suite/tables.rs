@@ -17,6 +17,8 @@ pub const HIGH: Vec3 = Vec3::new(3.0, 2.5, 1.0);
 pub const CELL_SIZE: f32 = 0.5;
 /// Lessons of a pass, and passes after which quadtrees are as deep as they get and cells were cut several times.
 const LESSONS: u32 = 40_000;
+/// Paths that a lesson stands for.
+const LESSON_PATHS: f32 = 32.0;
 const PASSES: u32 = 9;
 
 /// The modes that have a table of their own.
@@ -42,7 +44,8 @@ pub fn uniform_direction(seed: u32, i: u32) -> Vec3 {
     Vec3::new(r * cos, r * sin, z)
 }
 
-/// Surface points: half of them crowd in one corner, and half of these in its tip, so that cells there are cut. Normals along axes and askew.
+/// Surface points: half of them crowd in one corner, and half of these in its tip, so that cells there are cut. Normals
+/// along axes and askew.
 pub fn surface_point(seed: u32, i: u32) -> (Vec3, Vec3) {
     let u = random(seed, i, 901);
     let crowd = [0.01, 1.0, 0.1, 1.0][i as usize % 4];
@@ -101,7 +104,8 @@ fn lesson(mode: GuideMode, table: &GuideTable, light: &Light, seed: u32, i: u32)
         GuideMode::Octant => (octant_slot, cosine),
         _ => (octant_slot, 1.0),
     };
-    Transition { slot, value: light.radiance(direction) * cosine, visited, visit }
+    let value = light.radiance(direction) * cosine * LESSON_PATHS;
+    Transition { slot, value, visited, visit: visit * LESSON_PATHS }
 }
 
 pub fn new_learner(mode: GuideMode) -> Learner {
