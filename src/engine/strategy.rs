@@ -196,3 +196,76 @@ impl Planner {
         Pass { strategy: self.informed.strategy, end, learning, trial: false }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::guiding::GuideOptions;
+
+    fn planner(trial: bool, sampler: Sampler) -> Planner {
+        let guide = GuideOptions { mode: GuideMode::Adaptive, trial, ..Default::default() };
+        let estimators = Estimators {
+            direct_light: true,
+            roulette: Roulette::Learnt,
+            roulette_scale: 2.5,
+            sampler,
+            max_bounces: 64,
+            guide: GuideMode::Adaptive,
+        };
+        let options = RenderOptions { guide, ..Default::default() };
+        Planner::new(&options, estimators, EngineKind::Wavefront, 10)
+    }
+
+    /// The passes up to the last, where a sample's variance is as told, informed and plain, with the same rays.
+    fn passes(mut planner: Planner, informed: f64, plain: f64) -> Vec<Pass> {
+        let mut passes = vec![planner.first()];
+        while let Some(pass) = passes.last().copied().filter(|pass| pass.end < u32::MAX) {
+            planner.judge(&pass, if pass.strategy.informed { informed } else { plain }, 5.0);
+            passes.push(planner.next(pass.end));
+        }
+        passes
+    }
+
+    #[test]
+    fn without_a_trial_passes_double_until_learning_ends() {
+        let passes = passes(planner(false, Sampler::Independent), 100.0, 1.0);
+        let ends: Vec<u32> = passes.iter().map(|pass| pass.end).collect();
+        assert_eq!(ends, [2, 4, 8, 16, 32, 64, 128, 256, 512, u32::MAX]);
+        assert!(passes[..9].iter().all(|pass| pass.teaches()) && !passes[9].teaches());
+    }
+
+    #[test]
+    fn a_guide_that_does_not_pay_is_given_up_at_the_first_trial() {
+        let passes = passes(planner(true, Sampler::Independent), 100.0, 10.0);
+        let [.., trial, last] = passes[..] else { panic!("{passes:?}") };
+        assert_eq!((trial.end, trial.trial, trial.strategy), (72, true, PLAIN));
+        assert_eq!((last.end, last.strategy, last.teaches()), (u32::MAX, PLAIN, false));
+    }
+
+    #[test]
+    fn a_guide_that_clearly_pays_is_tried_once() {
+        let passes = passes(planner(true, Sampler::Independent), 10.0, 100.0);
+        assert_eq!(passes.iter().filter(|pass| pass.trial).count(), 1);
+        assert!(passes.last().unwrap().strategy.informed);
+    }
+
+    #[test]
+    fn a_guide_in_doubt_is_tried_twice() {
+        // An informed ray costs about twice a plain one here.
+        for (informed, kept) in [(60.0, false), (40.0, true)] {
+            let passes = passes(planner(true, Sampler::Independent), informed, 100.0);
+            let trials: Vec<u32> = passes.iter().filter(|pass| pass.trial).map(|pass| pass.end).collect();
+            let twice = trials.len() == 2;
+            assert_eq!(passes.last().unwrap().strategy.informed, kept, "{passes:?}");
+            assert!(twice || kept, "{trials:?}");
+        }
+    }
+
+    #[test]
+    fn smooth_scenes_need_no_guide_where_samples_are_stratified() {
+        for (sampler, kept) in [(Sampler::Stratified, false), (Sampler::Independent, true)] {
+            let passes = passes(planner(true, sampler), 0.5, 0.9 * SMOOTH);
+            assert_eq!(passes.last().unwrap().strategy.informed, kept, "{sampler:?}");
+        }
+    }
+}
