@@ -23,7 +23,7 @@ fn learner(mode: GuideMode, seed: u64) -> Learner {
     learner.set_scene(seed ^ 0xabcd);
     let mut numbers = Numbers(seed);
     let base = learner.layout().missing;
-    learner.make_cells(&(0..base).map(|_| (numbers.next() % 5 == 0) as u32).collect::<Vec<_>>());
+    learner.make_cells(&(0..base).map(|_| numbers.next().is_multiple_of(5) as u32).collect::<Vec<_>>());
     for _ in 0..4 {
         let table = learner.table(true, &[]);
         let layout = LessonLayout::new(&table.uniforms);

@@ -58,6 +58,21 @@ pub fn octant_shares(normal: Vec3) -> [f32; 8] {
     std::array::from_fn(|octant| octant_share(normal, octant as u32))
 }
 
+/// Where a guided direction's numbers come from: those of one surface of one path.
+#[derive(Clone, Copy, Debug)]
+pub struct Draws {
+    pub sampler: Sampler,
+    pub key: SampleKey,
+    pub bounce: u32,
+}
+
+impl Draws {
+    /// Four numbers in [0, 1) for the draw of that number, below 16.
+    pub fn get(&self, draw: u32) -> Vec4 {
+        sample4(self.sampler, self.key, dimension_guide(self.bounce, draw))
+    }
+}
+
 /// Draws inside a cut octant before one is taken as it comes.
 pub const OCTANT_DRAWS: u32 = 4;
 
@@ -80,14 +95,7 @@ fn propose(above: Vec3, signs: Vec3, u: Vec2, choice: f32) -> Vec3 {
 /// A direction of `octant` with the density [`pdf_in_octant`]. Cut octants take the first of [`OCTANT_DRAWS`] proposals
 /// that the horizon accepts, and the last one as it comes; it may lie below the horizon and is then worth nothing.
 /// `first` holds the numbers of the first draw: acceptance, two for the direction, choice of the axis.
-pub fn sample_in_octant(
-    normal: Vec3,
-    octant: u32,
-    first: Vec4,
-    sampler: Sampler,
-    key: SampleKey,
-    bounce: u32,
-) -> Vec3 {
+pub fn sample_in_octant(normal: Vec3, octant: u32, first: Vec4, draws: &Draws) -> Vec3 {
     let signs = octant_signs(octant);
     let s = normal * signs;
     let above = s.max(Vec3::ZERO);
@@ -99,7 +107,7 @@ pub fn sample_in_octant(
         if draw == OCTANT_DRAWS || u.x * proposed < normal.dot(direction) {
             break;
         }
-        u = sample4(sampler, key, dimension_guide(bounce, draw));
+        u = draws.get(draw);
     }
     direction
 }

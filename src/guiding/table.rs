@@ -1,10 +1,9 @@
 //! The table that guides paths: cells on surfaces, found by position and normal, each with its learnt distribution over
 //! directions. Flat rows of four words, the same on the CPU and on the GPU. GPU twin: kernels/guiding/table.wesl
 
-use super::octant::{octant_of, octant_share, pdf_in_octant, sample_in_octant};
+use super::octant::{Draws, octant_of, octant_share, pdf_in_octant, sample_in_octant};
 use super::quadtree::{Leaf, Node, find_leaf, octant_coordinates, octant_direction, sample_leaf};
 use crate::gpu_struct;
-use crate::random::{SampleKey, Sampler};
 use glam::{Vec2, Vec3, Vec4};
 use std::f32::consts::{FRAC_1_PI, FRAC_2_PI};
 
@@ -249,19 +248,10 @@ pub mod octants {
     }
 
     /// A direction with that density. `u`: acceptance, two for the direction, choice of the octant.
-    pub fn sample(
-        cell: &Cell,
-        normal: Vec3,
-        shares: &[f32; 8],
-        mean: f32,
-        u: Vec4,
-        sampler: Sampler,
-        key: SampleKey,
-        bounce: u32,
-    ) -> Vec3 {
+    pub fn sample(cell: &Cell, normal: Vec3, shares: &[f32; 8], mean: f32, u: Vec4, draws: &Draws) -> Vec3 {
         let weights: [f32; 8] = std::array::from_fn(|a| cell.octants[a] * shares[a]);
         let (octant, rest) = choose_octant(&weights, mean, u.w);
-        sample_in_octant(normal, octant, Vec4::new(u.x, u.y, u.z, rest), sampler, key, bounce)
+        sample_in_octant(normal, octant, Vec4::new(u.x, u.y, u.z, rest), draws)
     }
 }
 

@@ -4,11 +4,11 @@
 use super::path::Transport;
 use crate::bsdf::lambert_share;
 use crate::guiding::lessons::MISSING;
-use crate::guiding::octant::octant_shares;
+use crate::guiding::octant::{Draws, octant_shares};
 use crate::guiding::table::{Cell, CellPlace, GuidedDensity, NO_CELL, adaptive, bansal, octants};
 use crate::guiding::{GuideMode, GuideTable, LessonSums, Transition};
 use crate::math::{luminance, to_world};
-use crate::random::{SampleKey, dimension_guide, sample4};
+use crate::random::SampleKey;
 use crate::sampling::{pdf_cosine, sample_cosine};
 use crate::scene::compiled::Material;
 use crate::scene::shapes::Surface;
@@ -124,15 +124,14 @@ impl Transport<'_> {
         if guidance.mode.is_bansal() {
             return self.redrawn_direction(&guidance, point, normal, u, key, bounce);
         }
-        let choice = sample4(self.sampler, key, dimension_guide(bounce, 0));
+        let draws = Draws { sampler: self.sampler, key, bounce };
+        let choice = draws.get(0);
         if choice.x >= point.mixture {
             return to_world(sample_cosine(u), normal);
         }
         let u = Vec4::new(choice.x / point.mixture, choice.y, choice.z, choice.w);
         match guidance.mode {
-            GuideMode::Octant => {
-                octants::sample(&point.cell, normal, &point.shares, point.mean, u, self.sampler, key, bounce)
-            }
+            GuideMode::Octant => octants::sample(&point.cell, normal, &point.shares, point.mean, u, &draws),
             _ => adaptive::sample(guidance.table, &point.cell, u.w, u.yz()),
         }
     }
@@ -153,8 +152,8 @@ impl Transport<'_> {
             if bansal::accepts(&point.cell, threshold, crate::guiding::octant::octant_of(wi)) {
                 break;
             }
-            let u = sample4(self.sampler, key, dimension_guide(bounce, draw));
-            wi = to_world(sample_cosine(u.xy()), normal);
+            let draws = Draws { sampler: self.sampler, key, bounce };
+            wi = to_world(sample_cosine(draws.get(draw).xy()), normal);
         }
         wi
     }
