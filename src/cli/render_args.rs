@@ -90,7 +90,8 @@ struct TransportArgs {
     #[arg(long, value_enum, value_name = "off|throughput|learnt", hide_possible_values = true)]
     roulette: Option<RouletteArg>,
 
-    /// Let this many times as many paths survive roulette: slower, less noisy [default: 1]
+    /// Let this many times as many paths survive roulette: slower, less noisy
+    /// [default: 1; learnt: 2.5]
     #[arg(long, value_name = "X", value_parser = values::factor, allow_negative_numbers = true)]
     roulette_scale: Option<f32>,
 

@@ -55,7 +55,8 @@ pub struct RenderOptions {
     pub direct_light: Option<bool>,
     /// Russian roulette: off, by throughput from the fourth surface on, or by what was learnt.
     pub roulette: Option<Roulette>,
-    /// Survival in roulette is this times what it would be, up to certainty: larger is slower and less noisy. 1 by default.
+    /// Survival in roulette is this times what it would be, up to certainty: larger is slower and less noisy. 1 by
+    /// default, for learnt roulette 2.5.
     pub roulette_scale: Option<f32>,
     /// Whether and how paths are guided by what earlier ones found.
     pub guide: GuideOptions,

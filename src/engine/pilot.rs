@@ -52,8 +52,10 @@ pub fn pilot(
 /// Points at which the `i`-th pilot path leaves surfaces.
 fn surface_points(transport: &Transport, pixels: u32, i: u32) -> Vec<Vec3> {
     let pixel = (u64::from(i) * u64::from(pixels) / u64::from(PILOT_PATHS)) as u32;
+    // In images of fewer pixels, several samples of each.
+    let sample = if pixels < PILOT_PATHS { i % PILOT_PATHS.div_ceil(pixels) } else { 0 };
     let mut points = Vec::new();
-    let mut ray = transport.generate(pixel);
+    let mut ray = transport.generate(sample * pixels + pixel);
     let mut trail = Default::default();
     while let outcome = transport.step(&ray, &trail)
         && let Some(next) = outcome.ray

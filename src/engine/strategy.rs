@@ -189,10 +189,14 @@ impl Planner {
     /// Passes of doubling size while learning goes on, then one without end.
     fn learn_on(&self, samples: u32) -> Pass {
         let learning = samples < self.learning_samples;
-        let doubled = (samples + 1).next_power_of_two();
+        let doubled = samples.saturating_add(1).checked_next_power_of_two().unwrap_or(u32::MAX);
         // A pass that would be short is not worth a lesson.
-        let end = if f64::from(doubled) < 1.4 * f64::from(samples) { 2 * doubled } else { doubled };
+        let short = f64::from(doubled) < 1.4 * f64::from(samples);
+        let end = if short { doubled.saturating_mul(2) } else { doubled };
         let end = if learning { end } else { u32::MAX };
+        // A trial that is to come comes, even if nothing is to be learnt until then.
+        let trial = self.plain.and(TRIALS.get(self.round)).map(|&(from, _)| from);
+        let end = trial.filter(|&from| from > samples).map_or(end, |from| end.min(from));
         Pass { strategy: self.informed.strategy, end, learning, trial: false }
     }
 }
@@ -258,6 +262,18 @@ mod tests {
             let twice = trials.len() == 2;
             assert_eq!(passes.last().unwrap().strategy.informed, kept, "{passes:?}");
             assert!(twice || kept, "{trials:?}");
+        }
+    }
+
+    /// With a loaded guide there may be nothing to learn; whether it pays is asked all the same.
+    #[test]
+    fn trials_come_whatever_is_learnt() {
+        for learning_samples in [0, 32, 128] {
+            let mut planner = planner(true, Sampler::Independent);
+            planner.learning_samples = learning_samples;
+            let passes = passes(planner, 55.0, 100.0);
+            let trials = passes.iter().filter(|pass| pass.trial).map(|pass| pass.end);
+            assert_eq!(trials.collect::<Vec<_>>(), [72, 272], "{learning_samples}");
         }
     }
 

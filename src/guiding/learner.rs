@@ -27,6 +27,9 @@ pub(super) const NODE_BYTES: u64 = 48;
 /// Fixed-point units per unit of radiance, as a power of two below the brightest emitter.
 const UNIT_BITS: i32 = 36;
 
+/// Quadtree nodes that a table can number.
+pub(super) const MOST_NODES: usize = 1 << 24;
+
 /// Why a learner can't be made or go on.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum LearnerError {
@@ -94,7 +97,8 @@ pub struct Learner {
 
 /// Fixed-point units per unit of radiance where nothing is brighter than `brightest`.
 pub(super) fn fixed_point_unit(brightest: f32) -> f32 {
-    (UNIT_BITS as f32 - brightest.max(1e-30).log2().ceil()).exp2()
+    // No more than f32 holds: radiance is then below what anyone could see.
+    (UNIT_BITS as f32 - brightest.max(1e-30).log2().ceil()).min(126.0).exp2()
 }
 
 impl Learner {
@@ -182,7 +186,10 @@ impl Learner {
 
     /// Takes in what a pass of `samples` samples per pixel taught.
     pub fn learn(&mut self, lessons: &Lessons, samples: u32) {
-        let pass = Pass { options: &self.options, uniforms: &self.uniforms, lessons };
+        // A level at most is added to each tree in a pass, so numbers of nodes stay within their 24 bits.
+        let refines =
+            self.options.depth > 0 && self.nodes() < MOST_NODES / 4 && self.bytes() <= self.options.memory;
+        let pass = Pass { options: &self.options, uniforms: &self.uniforms, lessons, refines };
         let first_node = &self.first_node;
         let visits: Vec<f64> = self
             .cells
@@ -312,6 +319,8 @@ struct Pass<'a> {
     options: &'a GuideOptions,
     uniforms: &'a GuideUniforms,
     lessons: &'a Lessons,
+    /// Whether trees may change their shape.
+    refines: bool,
 }
 
 impl Pass<'_> {
@@ -394,7 +403,9 @@ impl Pass<'_> {
                 None => blend(&mut cell.octants[a], 8 * index + a),
             }
         }
-        refine(cell, self.options.depth);
+        if self.refines {
+            refine(cell, self.options.depth);
+        }
         visits
     }
 }

@@ -33,7 +33,7 @@ gpu_struct! {
 pub const MISSING: u32 = 1 << 31;
 /// Fixed-point units of a visit's weight.
 pub const VISIT_UNIT: f32 = 1_048_576.0;
-/// The largest number that one addition makes, so that 65,536 of them fit.
+/// The largest number that one addition makes, so that 65,535 of them fit.
 const LARGEST: f32 = 281_474_976_710_656.0;
 
 /// A non-negative number as a whole number of units; 0 for anything negative, infinite or NaN, which thereby never

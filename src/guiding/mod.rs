@@ -63,8 +63,7 @@ impl fmt::Display for GuideMode {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GuideOptions {
     pub mode: GuideMode,
-    /// Whether plain tracing is tried as well, and taken where guiding does not pay; so are several scales of learnt
-    /// roulette where none is asked for.
+    /// Whether plain tracing is tried as well, and taken where guiding does not pay.
     pub trial: bool,
     /// Edge of a base cell in scene units; `None`: a 16th of the longest side of where paths go, for Bansal 0.5.
     pub cell_size: Option<f32>,

@@ -100,7 +100,7 @@ pub struct Cell {
     pub octants: [f32; 8],
     /// Quadtree roots: a bit per octant that has one, below the number of the first.
     pub roots: u32,
-    /// Irradiance of what direct light does not account for; octant: unused.
+    /// Irradiance of what direct light does not account for; octant and Bansal: ΣQ, which nothing but trust depends on.
     pub irradiance: f32,
     /// Share of guided directions, relative to the table's; 0 before the cell has learnt.
     pub trust: f32,
