@@ -93,8 +93,11 @@ impl Renderer {
             return Err(error);
         }
         self.samples += step_end - first;
-        if let Some(guided) = &mut self.guided {
-            guided.conclude_pass(self.samples, &self.film, self.engine.as_mut())?;
+        if let Some(guided) = &mut self.guided
+            && let Err(error) = guided.conclude_pass(self.samples, &self.film, self.engine.as_mut())
+        {
+            self.ended = Some(error.clone());
+            return Err(error);
         }
         Ok(step_end - first)
     }

@@ -291,7 +291,7 @@ fn with_cells(scene: &qtracer::Scene, options: &RenderOptions, spp: u32) -> (Ima
     (renderer.image(), renderer.guide_layers().unwrap().cell)
 }
 
-/// The largest |z| of the difference summed over the pixels of a cell, and how many cells with at least 8 there are.
+/// The largest |z| of the difference summed over the pixels of a cell, and how many cells with at least 12 there are.
 fn worst_cell(a: &Image, b: &Image, cells: &[f32]) -> (f64, usize) {
     let mut sums = std::collections::BTreeMap::<i64, (f64, f64, u32)>::new();
     let errors = |image: &Image, i: usize| image.standard_error.as_ref().unwrap()[i];
@@ -302,16 +302,17 @@ fn worst_cell(a: &Image, b: &Image, cells: &[f32]) -> (f64, usize) {
         *variance += f64::from(ea[1]).powi(2) + f64::from(eb[1]).powi(2);
         *pixels += 1;
     }
-    let z = sums.values().filter(|(_, _, pixels)| *pixels >= 8).map(|(d, v, _)| d.abs() / v.sqrt());
+    let z = sums.values().filter(|(_, _, pixels)| *pixels >= 12).map(|(d, v, _)| d.abs() / v.sqrt());
     let (all, worst) = z.fold((0, 0.0f64), |(n, worst), z| (n + 1, worst.max(z)));
     (worst, all)
 }
 
 /// Guided minus unguided over the pixels that see the same cell: none is brighter or darker than noise explains, on walls,
-/// behind glass and in mirrors. About 150 cells: |z| < 4.5, α = 1e-3 where errors are normal.
+/// behind glass and in mirrors. Some 80 cells, each seen by enough pixels for their sum to be nearly normal: |z| < 4.5,
+/// α = 5e-4. Few levels, since rare long paths make tails that no standard error tells of.
 #[test]
 fn no_cell_shows_in_the_image() {
-    for (name, bounces) in [("bansal-room-1", 8), ("door-ajar", 12)] {
+    for (name, bounces) in [("bansal-room-1", 4), ("door-ajar", 12)] {
         let scene = scene(name);
         let short = |options: RenderOptions| RenderOptions { max_bounces: Some(bounces), ..options };
         let options = short(guided(64, 48, 91, GuideMode::Adaptive, Roulette::Off));
@@ -320,7 +321,7 @@ fn no_cell_shows_in_the_image() {
         let plain = render(&scene, Engine::Cpu, &plain, 512).image;
         let (worst, count) = worst_cell(&image, &plain, &cells);
         println!("{name}: worst of {count} cells {worst:.2}");
-        assert!(count > 30 && worst < 4.5, "{name}: worst of {count} cells {worst}");
+        assert!(count > 20 && worst < 4.5, "{name}: worst of {count} cells {worst}");
         // Negative control: half as much light again in the cell that most pixels see.
         let seen = |wanted: f32| cells.iter().filter(|cell| **cell == wanted).count();
         let widest = cells.iter().copied().filter(|c| *c >= 0.0).max_by_key(|c| seen(*c)).unwrap();
