@@ -1,8 +1,9 @@
 //! How much error is left after so many seconds or samples? Guides and roulettes side by side, several seeds each, learning
 //! charged: the clock runs from the first sample to the last, lessons and tables included.
 //!
-//! A variant is GUIDE[:ROULETTE[:SCALE]], such as `off:throughput:4`, `adaptive:learnt:3` or `auto`. Errors are relMSE against a
-//! reference of the same size (`--reference`), minus what the reference's own standard errors make of it. Rows as JSON lines.
+//! A variant is GUIDE[:ROULETTE[:SCALE]], such as `off:throughput:4`, `adaptive:learnt:3` or `auto`. Errors are relMSE against
+//! a reference of the same size (`--reference`), minus what the reference's own standard errors make of it, or, without one,
+//! the scatter between seeds. Rows as JSON lines.
 //!
 //! `cargo bench --bench efficiency -- --scene scenes/door-ajar.toml --reference door.exr --variant off:throughput:4 \
 //!  adaptive:learnt:3 --seconds 1,4 --seeds 3`
@@ -25,7 +26,7 @@ struct Arguments {
     /// Converged image of the same size; without it, seeds are compared with each other.
     #[arg(long)]
     reference: Option<String>,
-    /// Width and height.
+    /// Width and height, where no reference says.
     #[arg(long, num_args = 2, default_values_t = [640, 480])]
     size: Vec<u32>,
     #[arg(long, required = true, num_args = 1..)]
@@ -38,7 +39,6 @@ struct Arguments {
     spp: Vec<u32>,
     #[arg(long, default_value_t = 3)]
     seeds: u32,
-    /// Width and height; the reference's if not given.
     #[arg(long, default_value = "cpu")]
     engine: String,
     #[arg(long, default_value_t = true, num_args = 1)]

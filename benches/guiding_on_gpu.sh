@@ -3,10 +3,10 @@
 # z-tests against the independent images, Bansal's bias.
 #   cargo build --release && cargo bench --no-run --bench efficiency
 #   QTRACER=target/release/qtracer EFFICIENCY=target/release/deps/efficiency-HASH \
-#   REFERENCES=DIR_WITH_MITSUBA_EXR OUT=benches/results/DATE-DEVICE benches/guiding_on_gpu.sh [room|door|seed5|…]…
+#   REFERENCES=DIR_WITH_MITSUBA_EXR OUT=benches/results/DATE-DEVICE benches/guiding_on_gpu.sh [door|seed5|indirect|equal|references|scenes|long]…
 set -u
 : "${QTRACER:?}" "${EFFICIENCY:?}" "${OUT:?}"
-parts=${*:-door seed5 indirect equal references bansal scenes long}
+parts=${*:-door seed5 indirect equal references scenes long}
 mkdir -p "$OUT"
 scratch=$(mktemp -d)
 rows="$OUT/guiding.jsonl"

@@ -79,7 +79,6 @@ impl Guided {
         self.combined.end_pass(film, &estimates, self.pass.trial);
         let rays = engine.stats().rays;
         let taken = samples - self.spent.0;
-        // Cut from what the engine counts in all.
         let rays_per_path = (rays - self.spent.1) as f64 / (f64::from(taken) * self.pixels);
         if self.pass.teaches() {
             self.learner.learn(&engine.take_lessons()?, taken);

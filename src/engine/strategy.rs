@@ -49,7 +49,7 @@ const CLEARLY_BETTER: f64 = 0.5;
 /// converge faster than their variance tells, and a guide's choices break the strata up. Measured: cornell-box, whose
 /// variance is 1.8, is 1.7 times as efficient without; bansal-room-5, with 5.6, 1.15 times as efficient with a guide.
 const SMOOTH: f64 = 3.0;
-/// Plain tracing's roulette: the best of 1, 4, 16 and off on most scenes (docs/PERFORMANCE.md).
+/// Plain tracing's roulette: the best of 1, 4, 16 and off on most scenes (docs/GUIDING.md).
 const PLAIN: Strategy = Strategy { informed: false, roulette: Roulette::Throughput, roulette_scale: 4.0 };
 
 /// What a ray costs, in units of one that meets no shape.

@@ -39,7 +39,7 @@ gpu_struct! {
         threshold: f32,
         /// Bansal's rule: what is left of the best Q of the next surface.
         discount: f32,
-        /// 1 while transitions are collected.
+        /// 1 while transitions are collected. For the CPU engine: on a GPU, other kernels are linked.
         learning: u32,
         _pad0: u32,
     }

@@ -4,11 +4,10 @@
 use super::path::Transport;
 use crate::bsdf::lambert_share;
 use crate::guiding::lessons::MISSING;
-use crate::guiding::octant::{Draws, octant_shares};
+use crate::guiding::octant::{Draws, octant_of, octant_shares};
 use crate::guiding::table::{Cell, CellPlace, GuidedDensity, NO_CELL, adaptive, bansal, octants};
 use crate::guiding::{GuideMode, GuideTable, LessonSums, Transition};
 use crate::math::{luminance, to_world};
-use crate::random::SampleKey;
 use crate::sampling::{pdf_cosine, sample_cosine};
 use crate::scene::compiled::Material;
 use crate::scene::shapes::Surface;
@@ -85,12 +84,11 @@ impl Transport<'_> {
     /// Density with which [`Transport::guided_direction`] chooses `wi`, the material's delta part counted off.
     pub fn guided_pdf(&self, point: &GuidePoint, normal: Vec3, wi: Vec3) -> f32 {
         let Some(guidance) = self.guidance else { return 0.0 };
-        let cosine = pdf_cosine(normal.dot(wi));
-        if guidance.mode.is_bansal() {
-            let exact = bansal::pdf(&point.cell, guidance.table.uniforms.threshold, normal, wi);
-            return point.share * if guidance.mode.is_biased() { cosine } else { exact };
+        if guidance.mode == GuideMode::BansalReweighted {
+            return point.share * bansal::pdf(&point.cell, guidance.table.uniforms.threshold, normal, wi);
         }
-        if point.mixture <= 0.0 {
+        let cosine = pdf_cosine(normal.dot(wi));
+        if guidance.mode.is_bansal() || point.mixture <= 0.0 {
             return point.share * cosine;
         }
         point.mixture_pdf(cosine, self.guide_density(&guidance, point, normal, wi).pdf)
@@ -101,10 +99,10 @@ impl Transport<'_> {
         match self.guidance {
             Some(guidance) if point.place.cell != NO_CELL => {
                 let GuidedDensity { pdf, slot } = self.guide_density(&guidance, point, normal, wi);
-                let mixes = point.mixture > 0.0;
-                let cosine = pdf_cosine(normal.dot(wi));
-                let pdf =
-                    if mixes { point.mixture_pdf(cosine, pdf) } else { self.guided_pdf(point, normal, wi) };
+                let pdf = match guidance.mode.is_bansal() {
+                    true => self.guided_pdf(point, normal, wi),
+                    false => point.mixture_pdf(pdf_cosine(normal.dot(wi)), pdf),
+                };
                 GuidedDensity { pdf, slot }
             }
             _ => GuidedDensity { pdf: self.guided_pdf(point, normal, wi), slot: 0 },
@@ -112,50 +110,20 @@ impl Transport<'_> {
     }
 
     /// A direction for the Lambertian lobe: the guide's or the material's. Its density is [`Transport::guided_pdf`].
-    pub fn guided_direction(
-        &self,
-        point: &GuidePoint,
-        normal: Vec3,
-        u: Vec2,
-        key: SampleKey,
-        bounce: u32,
-    ) -> Vec3 {
+    pub fn guided_direction(&self, point: &GuidePoint, normal: Vec3, u: Vec2, draws: &Draws) -> Vec3 {
         let Some(guidance) = self.guidance else { return normal };
         if guidance.mode.is_bansal() {
-            return self.redrawn_direction(&guidance, point, normal, u, key, bounce);
+            return redrawn_direction(point, guidance.table.uniforms.threshold, normal, u, draws);
         }
-        let draws = Draws { sampler: self.sampler, key, bounce };
         let choice = draws.get(0);
         if choice.x >= point.mixture {
             return to_world(sample_cosine(u), normal);
         }
         let u = Vec4::new(choice.x / point.mixture, choice.y, choice.z, choice.w);
         match guidance.mode {
-            GuideMode::Octant => octants::sample(&point.cell, normal, &point.shares, point.mean, u, &draws),
+            GuideMode::Octant => octants::sample(&point.cell, normal, &point.shares, point.mean, u, draws),
             _ => adaptive::sample(guidance.table, &point.cell, u.w, u.yz()),
         }
-    }
-
-    /// Bansal's rule.
-    fn redrawn_direction(
-        &self,
-        guidance: &Guidance,
-        point: &GuidePoint,
-        normal: Vec3,
-        u: Vec2,
-        key: SampleKey,
-        bounce: u32,
-    ) -> Vec3 {
-        let threshold = guidance.table.uniforms.threshold;
-        let mut wi = to_world(sample_cosine(u), normal);
-        for draw in 1..bansal::DRAWS {
-            if bansal::accepts(&point.cell, threshold, crate::guiding::octant::octant_of(wi)) {
-                break;
-            }
-            let draws = Draws { sampler: self.sampler, key, bounce };
-            wi = to_world(sample_cosine(draws.get(draw).xy()), normal);
-        }
-        wi
     }
 
     /// Counts the visit of a path that leaves at an angle of that cosine with that density, and gives the weight that
@@ -196,4 +164,16 @@ impl Transport<'_> {
             _ => luminance(material.color) * point.share * point.mean,
         }
     }
+}
+
+/// Bansal's rule.
+fn redrawn_direction(point: &GuidePoint, threshold: f32, normal: Vec3, u: Vec2, draws: &Draws) -> Vec3 {
+    let mut wi = to_world(sample_cosine(u), normal);
+    for draw in 1..bansal::DRAWS {
+        if bansal::accepts(&point.cell, threshold, octant_of(wi)) {
+            break;
+        }
+        wi = to_world(sample_cosine(draws.get(draw).xy()), normal);
+    }
+    wi
 }

@@ -7,6 +7,7 @@ use super::light::{choose_light, pdf_light, sample_light};
 use super::roulette::Roulette;
 use crate::accel::ShapeLanes;
 use crate::bsdf::{BsdfSample, bsdf_evaluate, bsdf_sample};
+use crate::guiding::octant::Draws;
 use crate::guiding::table::GuidedDensity;
 use crate::guiding::{Trail, Transition};
 use crate::math::{luminance, mis_weight};
@@ -15,7 +16,7 @@ use crate::sampling::pdf_cosine;
 use crate::scene::camera::camera_ray;
 use crate::scene::compiled::{CompiledScene, KIND_DIELECTRIC, KIND_MIRROR, Material, Uniforms};
 use crate::scene::shapes::{Hit, Ray, Surface, shape_info, spawn_ray, surface_at};
-use glam::{Vec3, Vec4Swizzles};
+use glam::{Vec3, Vec4, Vec4Swizzles};
 
 /// Everything a stage function may read: the scene, the numbers of the frame, the choice of estimators.
 #[derive(Clone, Copy, Debug)]
@@ -172,14 +173,14 @@ impl Transport<'_> {
         normal: Vec3,
         outside: bool,
         point: Option<&GuidePoint>,
-        key: SampleKey,
+        u: Vec4,
     ) -> (BsdfSample, Option<GuidedDensity>) {
-        let u = sample4(self.sampler, key, dimension_bsdf(ray.bounce));
         let mirrored = material.kind == KIND_MIRROR && u.z < material.parameter;
         let Some(point) = point.filter(|_| !mirrored) else {
             return (bsdf_sample(material, normal, -ray.direction, outside, u.xyz()), None);
         };
-        let wi = self.guided_direction(point, normal, u.xy(), key, ray.bounce);
+        let draws = Draws { sampler: self.sampler, key: self.sample_key(ray.path), bounce: ray.bounce };
+        let wi = self.guided_direction(point, normal, u.xy(), &draws);
         let density = self.guided_density(point, normal, wi);
         let pdf = point.share * pdf_cosine(normal.dot(wi));
         let weight = if density.pdf > 0.0 { material.color * (pdf / density.pdf) } else { Vec3::ZERO };
@@ -214,7 +215,8 @@ impl Transport<'_> {
             }
         }
 
-        let (scattered, density) = self.scatter(ray, material, normal, outside, point, key);
+        let u = sample4(self.sampler, key, dimension_bsdf(ray.bounce));
+        let (scattered, density) = self.scatter(ray, material, normal, outside, point, u);
         let survival = self.roulette_survival(ray, ray.throughput * scattered.weight, material, point, key);
         outcome.trail = match (point, density) {
             (Some(point), Some(density)) => {
@@ -224,7 +226,6 @@ impl Transport<'_> {
             }
             _ => Trail { weight: trail.weight * luminance(scattered.weight) / survival, ..*trail },
         };
-        let u = sample4(self.sampler, key, dimension_bsdf(ray.bounce));
         let throughput = ray.throughput * scattered.weight / survival;
         if u.w >= survival || throughput.max_element() <= 0.0 {
             return outcome;

@@ -171,7 +171,7 @@ fn redrawn_directions_follow_the_density_that_bansal_left_out() {
     let mut rules = 0;
     for (i, normal) in normals().into_iter().enumerate() {
         let point = world.point(4 * i as u32, normal, &diffuse());
-        let sample = |i| transport.guided_direction(&point, normal, own_numbers(i), key(i), 0);
+        let sample = |i| transport.guided_direction(&point, normal, own_numbers(i), &draws(i));
         let pdf = |d| bansal::pdf(&point.cell, threshold, normal, d);
         follows(&format!("Bansal's rule about {normal}"), sample, pdf);
         assert!(uniform_directions().all(|d| pdf(d) == transport.guided_pdf(&point, normal, d)));
@@ -207,7 +207,7 @@ fn mixed_directions_follow_their_density() {
                 if mode == GuideMode::Octant { normals()[i as usize] } else { surface_point(77, i).1 };
             let point = world.point(i, normal, &material);
             assert!(point.mixture > 0.2, "{mode}: cell {i} is hardly guided: {}", point.mixture);
-            let sample = |i| transport.guided_direction(&point, normal, own_numbers(i), key(i), 0);
+            let sample = |i| transport.guided_direction(&point, normal, own_numbers(i), &draws(i));
             let pdf = |d| transport.guided_pdf(&point, normal, d) / point.share;
             follows(&format!("{mode}, cell {i}"), sample, pdf);
             assert!(uniform_directions().all(|d| {
