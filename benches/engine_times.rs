@@ -32,6 +32,9 @@ struct Arguments {
     stratified: bool,
     #[arg(long)]
     pool: Option<u32>,
+    /// Levels or paths at once; see `qtracer render --help`.
+    #[arg(long)]
+    grain: Option<u32>,
     /// Engines to run: cpu, mega, fused, streamed, compacted.
     #[arg(long, value_delimiter = ',', default_value = "mega,fused,streamed,compacted")]
     engines: Vec<String>,
@@ -102,6 +105,7 @@ fn run(arguments: &Arguments, path: &str, engine: &str) -> Result<(), Box<dyn st
         sampler: if arguments.stratified { Sampler::Stratified } else { Sampler::Independent },
         schedule,
         pool: arguments.pool,
+        grain: arguments.grain,
         ..RenderOptions::on(choice)
     };
     let row = measure(&scene, options, arguments.spp, arguments.repetitions)?;

@@ -50,6 +50,7 @@ fn warn_of_idle_options(job: &Job, engine: EngineKind) {
     let idle = [
         ("--schedule", options.schedule.is_some() && !wavefront),
         ("--pool", options.pool.is_some() && !wavefront),
+        ("--grain", options.grain.is_some() && cpu),
         ("--adapter", options.adapter.is_some() && cpu),
     ];
     for (option, _) in idle.iter().filter(|(_, idle)| *idle) {

@@ -122,6 +122,11 @@ struct EngineArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(256..=1 << 26), allow_negative_numbers = true)]
     pool: Option<u32>,
 
+    /// Levels of a path that the fused schedule traces at once, or paths that an invocation of the megakernel traces
+    /// [default: by the lengths of paths]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=64), allow_negative_numbers = true)]
+    grain: Option<u32>,
+
     /// Also write the linked WGSL of each of the scene's kernels into this folder; needs no GPU
     #[arg(long, value_name = "DIR")]
     dump_kernels: Option<PathBuf>,
@@ -327,6 +332,7 @@ fn render_options(
             ScheduleArg::Fused => Schedule::Fused,
         }),
         pool: engine.pool,
+        grain: engine.grain,
     }
 }
 

@@ -154,13 +154,13 @@ impl GpuFilm {
     }
 
     fn upload_scene(&mut self, scene: &CompiledScene) -> Result<(), RenderError> {
-        let (arrays, usage) = match self.key.small_scene {
-            Some(_) => (arrays_of(scene), BufferUsages::UNIFORM),
-            None => (vec![("scene_rows", bytes_of(&rows::pack(scene)))], BufferUsages::STORAGE),
-        };
-        for (name, data) in arrays {
+        let arrays = [
+            ("scene_rows", rows::pack(scene), BufferUsages::STORAGE),
+            ("hot_rows", rows::hot(scene), BufferUsages::UNIFORM),
+        ];
+        for (name, rows, usage) in arrays {
             if self.is_bound(name) {
-                self.buffers.upload(&self.gpu, name, &data, usage)?;
+                self.buffers.upload(&self.gpu, name, &bytes_of(&rows), usage)?;
             }
         }
         let size = size_of::<Uniforms>() as u64;
@@ -390,16 +390,6 @@ pub struct Flight {
     start: Instant,
 }
 
-/// The arrays of a small scene, by the names of their buffers.
-fn arrays_of(scene: &CompiledScene) -> Vec<(&'static str, Vec<u8>)> {
-    vec![
-        ("spheres", bytes_of(&scene.spheres)),
-        ("quads", bytes_of(&scene.quads)),
-        ("materials", bytes_of(&scene.materials)),
-        ("lights", bytes_of(&scene.lights)),
-    ]
-}
-
 /// The bytes of `items`, or of one zeroed item: no binding may be empty.
 fn bytes_of<T: bytemuck::Pod>(items: &[T]) -> Vec<u8> {
     if items.is_empty() { vec![0; size_of::<T>()] } else { bytemuck::cast_slice(items).to_vec() }
@@ -446,33 +436,4 @@ impl Clock {
 pub fn grid(items: u32) -> [u32; 2] {
     let groups = items.div_ceil(WORKGROUP);
     [groups.min(GRID_WIDTH), groups.div_ceil(GRID_WIDTH)]
-}
-
-/// How much work to submit at once: grows or shrinks so that a submission takes [`Pacer::TARGET`] seconds, short enough
-/// that no driver takes the GPU for hung. It changes what is submitted together, never what is computed.
-pub struct Pacer {
-    amount: f64,
-}
-
-impl Pacer {
-    /// Seconds of a submission; drivers on laptops reset a GPU that is busy for about two.
-    const TARGET: f64 = 0.08;
-
-    pub fn new(first: u32) -> Pacer {
-        Pacer { amount: f64::from(first) }
-    }
-
-    pub fn amount(&self) -> u32 {
-        self.amount as u32
-    }
-
-    /// Learns that `amount` took `seconds`.
-    pub fn observe(&mut self, amount: u32, seconds: f64) {
-        let fitting = f64::from(amount) * Self::TARGET / seconds.max(1e-6);
-        // An amount that was cut short says little about larger ones: grow at most eightfold from what was seen.
-        let grown = fitting.min(f64::from(amount) * 8.0);
-        if grown > self.amount || fitting < self.amount {
-            self.amount = grown.clamp(1.0, f64::from(u32::MAX));
-        }
-    }
 }

@@ -1,11 +1,12 @@
-//! The megakernel engine: a whole path per invocation. Its dispatches cover ranges of paths.
+//! The megakernel engine: whole paths in one kernel. Its dispatches cover ranges of paths.
 
-use super::gpu_film::{GpuFilm, Keys, Pacer, grid};
+use super::gpu_film::{GpuFilm, Keys, grid};
+use super::pacing::{Pacer, PathLengths};
 use super::tracer::Tracer;
-use super::{Batch, CancelToken, EngineKind, RenderError};
+use super::{Batch, CancelToken, EngineKind, RenderError, RenderOptions};
 use crate::film::Film;
 use crate::gpu::device::Gpu;
-use crate::gpu::stage::{Counter, Schedule, Stage, counter_words};
+use crate::gpu::stage::{Counter, Schedule, Stage, WORKGROUP, counter_words};
 use crate::scene::compiled::{CompiledScene, Uniforms};
 use wgpu::BufferUsages;
 
@@ -13,16 +14,42 @@ pub struct MegakernelEngine {
     gpu: GpuFilm,
     bind: Option<wgpu::BindGroup>,
     pacer: Pacer,
+    lengths: PathLengths,
+    /// Paths per invocation, if the caller decides.
+    grain: Option<u32>,
 }
 
 impl MegakernelEngine {
-    pub fn new(gpu: Gpu, scene: &CompiledScene, uniforms: Uniforms, keys: Keys) -> Result<Self, RenderError> {
+    pub fn new(
+        gpu: Gpu,
+        scene: &CompiledScene,
+        uniforms: Uniforms,
+        keys: Keys,
+        options: &RenderOptions,
+    ) -> Result<Self, RenderError> {
         let first = if gpu.summary.software { 1 << 13 } else { 1 << 16 };
         let mut gpu =
             GpuFilm::new(gpu, scene, uniforms, keys, |_| Stage::megakernel(), Schedule::Fused, "megakernel")?;
         let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC | BufferUsages::COPY_DST;
         gpu.buffers.create(&gpu.gpu, "counters", 4 * u64::from(counter_words(&keys.own)), usage)?;
-        Ok(MegakernelEngine { gpu, bind: None, pacer: Pacer::new(first) })
+        let (lengths, grain) = (PathLengths::default(), options.grain);
+        Ok(MegakernelEngine { gpu, bind: None, pacer: Pacer::new(first), lengths, grain })
+    }
+}
+
+/// Turns of all loops together after which llvmpipe ends every loop of an invocation, whatever its condition says: it
+/// counts 65,535 for each group of eight invocations, and the first group of a workgroup takes all paths there are to take.
+const SOFTWARE_TURNS: u32 = 60_000;
+
+impl MegakernelEngine {
+    /// Paths per invocation that the adapter can trace: on software few, so that its loops are not cut short.
+    fn most_grain(&self, max_bounces: u32) -> u32 {
+        if !self.gpu.gpu.summary.software {
+            return u32::MAX;
+        }
+        let shapes = self.gpu.uniforms.sphere_count + self.gpu.uniforms.quad_count;
+        let paths = SOFTWARE_TURNS / (max_bounces * (2 * shapes + 1));
+        1 + paths.saturating_sub(1) / (WORKGROUP / 8)
     }
 }
 
@@ -58,12 +85,14 @@ impl Tracer for MegakernelEngine {
                 return Ok(false);
             }
             let count = self.pacer.amount().min(batch.paths() - path);
-            self.gpu.write_uniforms(&Uniforms { first_path: path, path_count: count, ..uniforms });
+            let grain = self.grain.unwrap_or_else(|| self.lengths.paths_at_once(count, uniforms.max_bounces));
+            let grain = grain.min(self.most_grain(uniforms.max_bounces));
+            self.gpu.write_uniforms(&Uniforms { first_path: path, path_count: count, grain, ..uniforms });
             let bind = self.bind.as_ref();
             let flight = self.gpu.launch(Some("counters"), |this, pass| {
                 pass.set_pipeline(&this.kernels[&Stage::Megakernel].pipeline);
                 pass.set_bind_group(0, bind, &[]);
-                let [x, y] = grid(count);
+                let [x, y] = grid(count.div_ceil(grain));
                 pass.dispatch_workgroups(x, y, 1);
             });
             self.gpu.receive_sums(film)?;
@@ -71,6 +100,7 @@ impl Tracer for MegakernelEngine {
             self.pacer.observe(count, seconds);
             path += count;
             rays = counters[Counter::Rays as usize];
+            self.lengths.observe(u64::from(rays), u64::from(path));
         }
         self.gpu.stats.rays += u64::from(rays);
         Ok(true)

@@ -9,6 +9,7 @@ mod gpu_film;
 mod guided;
 mod megakernel;
 mod options;
+mod pacing;
 mod pilot;
 mod renderer;
 mod show;

@@ -72,6 +72,9 @@ pub struct RenderOptions {
     pub schedule: Option<Schedule>,
     /// Rays that the wavefront engine keeps in flight; `None` suits the GPU.
     pub pool: Option<u32>,
+    /// Levels of a path that the fused schedule traces at once, or paths that an invocation of the megakernel traces, 1 to
+    /// 64; `None` follows the lengths of paths. The image does not depend on it.
+    pub grain: Option<u32>,
 }
 
 impl RenderOptions {
@@ -121,6 +124,11 @@ impl RenderOptions {
             && !(256..=1 << 26).contains(&pool)
         {
             return refuse("pool", pool, "choose 256 to 67108864 rays");
+        }
+        if let Some(grain) = self.grain
+            && !(1..=64).contains(&grain)
+        {
+            return refuse("grain", grain, "choose 1 to 64");
         }
         if let Some(scale) = self.roulette_scale
             && !(scale.is_finite() && scale > 0.0)

@@ -210,7 +210,9 @@ fn build_engine(
     let keys = Keys { own: key, plain };
     let on_gpu = |gpu: Gpu, kind: EngineKind| -> Result<Box<dyn Engine>, RenderError> {
         Ok(match kind {
-            EngineKind::Megakernel => Box::new(MegakernelEngine::new(gpu, compiled, uniforms, keys)?),
+            EngineKind::Megakernel => {
+                Box::new(MegakernelEngine::new(gpu, compiled, uniforms, keys, options)?)
+            }
             _ => Box::new(WavefrontEngine::new(gpu, compiled, uniforms, keys, options)?),
         })
     };

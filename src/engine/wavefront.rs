@@ -1,7 +1,8 @@
 //! The wavefront engine: a kernel per stage, rays in explicit bounded queues. The host records levels; the queues'
 //! lengths stay on the GPU, where they become indirect arguments. docs/KERNELS.md tells the stages' contracts.
 
-use super::gpu_film::{GpuFilm, Keys, Pacer};
+use super::gpu_film::{GpuFilm, Keys};
+use super::pacing::{Pacer, PathLengths};
 use super::tracer::Tracer;
 use super::{Batch, CancelToken, EngineKind, RenderError, RenderOptions};
 use crate::film::Film;
@@ -28,6 +29,9 @@ pub struct WavefrontEngine {
     binds: Vec<[wgpu::BindGroup; 2]>,
     pool: u32,
     pacer: Pacer,
+    lengths: PathLengths,
+    /// Levels of a path that the fused kernel traces at once, if the caller decides.
+    grain: Option<u32>,
     /// Levels that the last batch needed: how many to record at first.
     expected_levels: u32,
 }
@@ -49,9 +53,17 @@ impl WavefrontEngine {
         let stages = |key: &KernelKey| Stage::wavefront(key, schedule);
         let gpu = GpuFilm::new(gpu, scene, uniforms, keys, stages, schedule, "wavefront")?;
         let expected_levels = uniforms.max_bounces + 1;
-        let level = Vec::new();
-        let pacer = Pacer::new(1);
-        Ok(WavefrontEngine { gpu, schedule, level, binds: Vec::new(), pool, pacer, expected_levels })
+        Ok(WavefrontEngine {
+            gpu,
+            schedule,
+            level: Vec::new(),
+            binds: Vec::new(),
+            pool,
+            pacer: Pacer::new(1),
+            lengths: PathLengths::default(),
+            grain: options.grain,
+            expected_levels,
+        })
     }
 
     /// Bytes of a ray or a shadow ray. Where something is learnt, they have a fourth row: what their path remembers.
@@ -207,7 +219,7 @@ impl Tracer for WavefrontEngine {
 
     /// Levels until the batch is done.
     fn trace(&mut self, batch: &Batch, film: &mut Film, cancel: &CancelToken) -> Result<bool, RenderError> {
-        self.gpu.write_uniforms(&self.gpu.batch_uniforms(batch));
+        let uniforms = self.gpu.batch_uniforms(batch);
         let mut counters = vec![0u32; counter_words(&self.gpu.key) as usize];
         self.gpu.gpu.queue.write_buffer(self.gpu.buffers.get("counters"), 0, bytemuck::cast_slice(&counters));
         let mut level = 0;
@@ -217,6 +229,8 @@ impl Tracer for WavefrontEngine {
             }
             let remaining = self.expected_levels.saturating_sub(level).max(4);
             let count = self.pacer.amount().min(remaining);
+            let grain = self.grain.unwrap_or_else(|| self.lengths.levels_at_once());
+            self.gpu.write_uniforms(&Uniforms { grain, ..uniforms });
             let (status, seconds) = self.submit_levels(level, count, film)?;
             self.pacer.observe(count, seconds);
             level += count;
@@ -225,6 +239,8 @@ impl Tracer for WavefrontEngine {
             let counter = |c: Counter| counters[c as usize];
             let flying =
                 counter(Counter::Survivors) + counter(Counter::Shadows) + counter(Counter::Transitions);
+            let ended = counter(Counter::NextPath) - counter(Counter::Survivors);
+            self.lengths.observe(u64::from(counter(Counter::Rays)), u64::from(ended));
             if flying == 0 && counter(Counter::NextPath) == batch.paths() {
                 break;
             }

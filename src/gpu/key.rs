@@ -4,6 +4,7 @@
 use crate::guiding::GuideMode;
 use crate::random::Sampler;
 use crate::scene::compiled::{CompiledScene, KIND_DIELECTRIC, KIND_DIFFUSE, KIND_GLOSSY, KIND_MIRROR, KINDS};
+use crate::scene::rows;
 use crate::transport::estimators::Estimators;
 use crate::transport::roulette::Roulette;
 use std::fmt;
@@ -32,25 +33,17 @@ pub struct KernelKey {
     /// Whether paths teach; afterwards the table is only asked.
     pub teaches: bool,
     pub stratified: bool,
-    /// Lengths of the scene's arrays (spheres, quads, materials, lights) if the scene is small enough for uniform buffers.
-    pub small_scene: Option<[u32; 4]>,
+    /// Numbers of spheres and quads, if they are few enough for a uniform buffer and unrolled loops.
+    pub small_scene: Option<[u32; 2]>,
 }
 
-/// Bytes of shapes up to which uniform buffers are faster: on an H100 the megakernel took 13 % and 25 % less time with
-/// 0.4 and 1.5 KiB (seed1, cornell), but 82 % more with 6 KiB (door), since every ray reads all of them through a cache
-/// of about 2 KiB.
+/// Bytes of shapes that every ray reads up to which a uniform buffer is faster: every ray reads all of them through a cache of
+/// about 2 KiB. On an H100 the megakernel took 82 % more time with 6 KiB (door).
 const SMALL_SHAPES: usize = 1 << 11;
-/// Bytes of the other arrays, which are read at hits only.
-const SMALL_ARRAY: usize = 1 << 14;
 
-fn small_scene(scene: &CompiledScene) -> Option<[u32; 4]> {
-    let fits = size_of_val(&scene.spheres[..]) + size_of_val(&scene.quads[..]) <= SMALL_SHAPES
-        && size_of_val(&scene.materials[..]) <= SMALL_ARRAY
-        && size_of_val(&scene.lights[..]) <= SMALL_ARRAY;
-    let length = |n: usize| n.max(1) as u32;
-    fits.then(|| {
-        [scene.spheres.len(), scene.quads.len(), scene.materials.len(), scene.lights.len()].map(length)
-    })
+fn small_scene(scene: &CompiledScene) -> Option<[u32; 2]> {
+    let fits = size_of_val(&rows::hot(scene)[..]) <= SMALL_SHAPES;
+    fits.then(|| [scene.spheres.len() as u32, scene.quads.len() as u32])
 }
 
 impl KernelKey {
@@ -136,9 +129,7 @@ impl fmt::Display for KernelKey {
         let on: Vec<&str> = self.flags().iter().filter(|(_, on)| *on).map(|(name, _)| *name).collect();
         f.write_str(&on.join("+"))?;
         match self.small_scene {
-            Some([spheres, quads, materials, lights]) => {
-                write!(f, " ({spheres} spheres, {quads} quads, {materials} materials, {lights} lights)")
-            }
+            Some([spheres, quads]) => write!(f, " ({spheres} spheres, {quads} quads)"),
             None => Ok(()),
         }
     }

@@ -222,9 +222,11 @@ impl Stage {
         define("ARGUMENT_SHADOW", Argument::Shadow as u32);
         define("ARGUMENT_LEARN", Argument::Learn as u32);
         define("FIRST_HIT_ARGUMENT", Argument::FirstHit as u32);
-        let lengths = scene.small_scene.unwrap_or_default();
-        for (name, length) in ["SPHERES", "QUADS", "MATERIALS", "LIGHTS"].iter().zip(lengths) {
-            define(name, length);
+        if let Some([spheres, quads]) = scene.small_scene {
+            define("SPHERES", spheres);
+            define("QUADS", quads);
+            // No array is empty.
+            define("HOT_ROWS", (spheres * SPHERE_HOT_ROWS as u32 + quads * QUAD_HOT_ROWS as u32).max(1));
         }
         for (name, rows) in [
             ("SPHERE_HOT_ROWS", SPHERE_HOT_ROWS),

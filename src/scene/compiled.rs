@@ -46,8 +46,9 @@ gpu_struct! {
         sphere_count: u32,
         quad_count: u32,
         light_count: u32,
-        /// Where the parts of a large scene begin, in rows: scene/rows.rs. Those of the spheres lie first.
-        first_quad_row: u32,
+        /// How much an invocation does before it passes on: levels of its path in `step`, paths in `megakernel`.
+        grain: u32,
+        /// Where the parts of the scene that only hits read begin, in rows: scene/rows.rs.
         first_sphere_rest_row: u32,
         first_quad_rest_row: u32,
         first_material_row: u32,
@@ -215,14 +216,8 @@ impl CompiledScene {
         let right = forward.cross(camera.up).normalize();
         let half_height = (camera.fov_y_deg.to_radians() * 0.5).tan();
         let half_width = half_height * f64::from(width) / f64::from(height);
-        let [
-            _,
-            first_quad_row,
-            first_sphere_rest_row,
-            first_quad_rest_row,
-            first_material_row,
-            first_light_row,
-        ] = rows::first_rows(self);
+        let [_, _, first_sphere_rest_row, first_quad_rest_row, first_material_row, first_light_row] =
+            rows::first_rows(self);
         Uniforms {
             camera_origin: camera.origin.as_vec3(),
             seed,
@@ -235,7 +230,7 @@ impl CompiledScene {
             sphere_count: self.spheres.len() as u32,
             quad_count: self.quads.len() as u32,
             light_count: self.lights.len() as u32,
-            first_quad_row,
+            grain: 1,
             first_sphere_rest_row,
             first_quad_rest_row,
             first_material_row,

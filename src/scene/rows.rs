@@ -1,5 +1,5 @@
-//! A large scene as one storage buffer, so that a kernel spends one binding on it: rows of 16 bytes, in parts. What
-//! every ray reads of the shapes lies together in the first two, apart from what only a hit needs.
+//! A scene as one storage buffer, so that a kernel spends one binding on it: rows of 16 bytes, in parts. What every ray
+//! reads of the shapes lies together in the first two, apart from what only a hit needs.
 //! GPU twin: kernels/scene/data.wesl
 
 use super::compiled::{CompiledScene, Light, Material, Quad, Sphere};
@@ -50,6 +50,11 @@ fn parts(scene: &CompiledScene) -> [Part<'_>; 6] {
 /// All rows of the scene.
 pub fn pack(scene: &CompiledScene) -> Vec<Row> {
     parts(scene).iter().flat_map(Part::rows).collect()
+}
+
+/// The rows that every ray reads: the first ones.
+pub fn hot(scene: &CompiledScene) -> Vec<Row> {
+    parts(scene)[..2].iter().flat_map(Part::rows).collect()
 }
 
 /// The number of the first row of each part.
@@ -103,12 +108,13 @@ mod tests {
             let scene = numbered_scene(spheres, quads);
             let rows = pack(&scene);
             let at = scene.uniforms(&camera(), 1, 1, 0);
+            let first_quad_row = first_rows(&scene)[1];
             for (i, sphere) in scene.spheres.iter().enumerate() {
                 assert_eq!(item::<Sphere>(&rows, i, SPHERE_HOT_ROWS, 0, at.first_sphere_rest_row), *sphere);
             }
             for (i, quad) in scene.quads.iter().enumerate() {
                 assert_eq!(
-                    item::<Quad>(&rows, i, QUAD_HOT_ROWS, at.first_quad_row, at.first_quad_rest_row),
+                    item::<Quad>(&rows, i, QUAD_HOT_ROWS, first_quad_row, at.first_quad_rest_row),
                     *quad
                 );
             }
@@ -118,6 +124,7 @@ mod tests {
             for (i, light) in scene.lights.iter().enumerate() {
                 assert_eq!(item::<Light>(&rows, i, Light::ROWS, at.first_light_row, 0), *light);
             }
+            assert_eq!(hot(&scene), rows[..spheres + 4 * quads]);
             assert_eq!(rows.len(), 2 * spheres + 6 * quads + 2 * 4 + 2 * 5, "nothing lies there twice");
         }
     }

@@ -329,12 +329,29 @@ fn a_small_pool_renders_what_a_large_one_does() {
     let (scene, options) = room();
     for schedule in SCHEDULES {
         let [small, large] = [Some(256), None].map(|pool| {
-            render(&scene, Engine::Wavefront(schedule), &RenderOptions { pool, ..options.clone() }, 16)
+            let options = RenderOptions { pool, grain: Some(1), ..options.clone() };
+            render(&scene, Engine::Wavefront(schedule), &options, 16)
         });
         assert_eq!(differing_pixels(&small.film, &large.film), 0, "{schedule:?}");
         assert!(small.stats.iterations >= small.stats.rays.div_ceil(256), "{:?}", small.stats);
         assert!(small.stats.iterations > large.stats.iterations, "{:?}", small.stats);
         assert_eq!(small.stats.rays, large.stats.rays, "{schedule:?}");
+    }
+}
+
+/// Levels of a path at once, or paths of an invocation: the same image, the same rays.
+#[test]
+fn the_grain_does_not_change_the_image() {
+    let (scene, options) = room();
+    for engine in [Engine::Wavefront(Schedule::Fused), Engine::Megakernel] {
+        let [one, three] = [1, 3].map(|grain| {
+            let options = RenderOptions { grain: Some(grain), max_bounces: Some(10), ..options.clone() };
+            render(&scene, engine, &options, 16)
+        });
+        assert_eq!(differing_pixels(&one.film, &three.film), 0, "{engine:?}");
+        assert_eq!(one.stats.rays, three.stats.rays, "{engine:?}");
+        let fewer = three.stats.iterations < one.stats.iterations;
+        assert_eq!(fewer, engine != Engine::Megakernel, "levels at once take fewer turns");
     }
 }
 

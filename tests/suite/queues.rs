@@ -57,8 +57,8 @@ impl Harness {
         let mut buffers = Buffers::default();
         buffers.upload(&self.gpu, "uniforms", bytemuck::bytes_of(&uniforms), BufferUsages::UNIFORM).unwrap();
         for (name, data) in contents {
-            // Arrays of small scenes are uniform buffers.
-            let uniform = matches!(*name, "spheres" | "quads" | "guide");
+            // What every ray reads of small scenes is a uniform buffer.
+            let uniform = matches!(*name, "hot_rows" | "guide");
             let uniform = if uniform { BufferUsages::UNIFORM } else { BufferUsages::empty() };
             let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC | uniform;
             buffers.upload(&self.gpu, name, data, usage).unwrap();
@@ -286,16 +286,9 @@ fn intersection_pushes_every_ray_to_exactly_one_queue() {
             ("rays_in", bytemuck::cast_slice(&rays_in)),
             ("hits", bytemuck::cast_slice(&hits)),
         ];
-        let rows = rows::pack(&compiled);
-        if harness.key.small_scene.is_none() {
-            contents.push(("scene_rows", bytemuck::cast_slice(&rows)));
-        } else {
-            let shapes: [(&str, &[u8]); 2] = [
-                ("spheres", bytemuck::cast_slice(&compiled.spheres)),
-                ("quads", bytemuck::cast_slice(&compiled.quads)),
-            ];
-            contents.extend(shapes.into_iter().filter(|(_, bytes)| !bytes.is_empty()));
-        }
+        let (rows, hot) = (rows::pack(&compiled), rows::hot(&compiled));
+        contents.push(("scene_rows", bytemuck::cast_slice(&rows)));
+        contents.push(("hot_rows", bytemuck::cast_slice(&hot)));
         let read = harness.run(uniforms, &contents, 3000u32.div_ceil(WORKGROUP), &["counters", "hits"]);
         let (counters, hits) = (words(&read[0]), words(&read[1]));
         // A plane of all queues for each of the three words.
