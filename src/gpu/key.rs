@@ -4,7 +4,6 @@
 use crate::guiding::GuideMode;
 use crate::random::Sampler;
 use crate::scene::compiled::{CompiledScene, KIND_DIELECTRIC, KIND_DIFFUSE, KIND_GLOSSY, KIND_MIRROR, KINDS};
-use crate::scene::rows;
 use crate::transport::estimators::Estimators;
 use crate::transport::roulette::Roulette;
 use std::fmt;
@@ -33,17 +32,28 @@ pub struct KernelKey {
     /// Whether paths teach; afterwards the table is only asked.
     pub teaches: bool,
     pub stratified: bool,
-    /// Numbers of spheres and quads, if they are few enough for a uniform buffer and unrolled loops.
-    pub small_scene: Option<[u32; 2]>,
+    /// Depth of the hierarchy over the shapes, if they are too many to ask them all.
+    pub bvh: Option<u32>,
+    /// Numbers of shapes, if they are few enough for a uniform buffer and unrolled loops.
+    pub small_scene: Option<SmallScene>,
 }
 
-/// Bytes of shapes that every ray reads up to which a uniform buffer is faster: every ray reads all of them through a cache of
-/// about 2 KiB. On an H100 the megakernel took 82 % more time with 6 KiB (door).
-const SMALL_SHAPES: usize = 1 << 11;
+/// How many shapes of each kind there are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct SmallScene {
+    pub spheres: u32,
+    /// Of these …
+    pub quads: u32,
+    /// … so many are at right angles to each axis; they come first.
+    pub aligned: [u32; 3],
+}
 
-fn small_scene(scene: &CompiledScene) -> Option<[u32; 2]> {
-    let fits = size_of_val(&rows::hot(scene)[..]) <= SMALL_SHAPES;
-    fits.then(|| [scene.spheres.len() as u32, scene.quads.len() as u32])
+fn small_scene(scene: &CompiledScene) -> Option<SmallScene> {
+    scene.is_small().then(|| SmallScene {
+        spheres: scene.spheres.len() as u32,
+        quads: scene.quads.len() as u32,
+        aligned: scene.aligned.map(|n| n as u32),
+    })
 }
 
 impl KernelKey {
@@ -64,6 +74,7 @@ impl KernelKey {
             guided: estimators.guide != GuideMode::Off,
             teaches: estimators.learns(),
             stratified: estimators.sampler == Sampler::Stratified,
+            bvh: scene.bvh.as_ref().map(|bvh| bvh.depth),
             small_scene: small_scene(scene),
         }
     }
@@ -104,7 +115,10 @@ impl KernelKey {
             ("bansal", self.guide.is_some_and(GuideMode::is_bansal)),
             ("reweighted", self.guide == Some(GuideMode::BansalReweighted)),
             ("stratified", self.stratified),
+            ("bvh", self.bvh.is_some()),
             ("small_scene", self.small_scene.is_some()),
+            ("aligned_quads", self.small_scene.is_some_and(|s| s.aligned != [0; 3])),
+            ("other_quads", self.small_scene.is_some_and(|s| s.quads > s.aligned.iter().sum())),
         ]
     }
 
@@ -129,7 +143,9 @@ impl fmt::Display for KernelKey {
         let on: Vec<&str> = self.flags().iter().filter(|(_, on)| *on).map(|(name, _)| *name).collect();
         f.write_str(&on.join("+"))?;
         match self.small_scene {
-            Some([spheres, quads]) => write!(f, " ({spheres} spheres, {quads} quads)"),
+            Some(SmallScene { spheres, quads, aligned: [x, y, z] }) => {
+                write!(f, " ({spheres} spheres, {quads} quads, of which aligned {x} {y} {z})")
+            }
             None => Ok(()),
         }
     }

@@ -22,6 +22,7 @@ pub const MODULES: &[(&str, &str)] = modules![
     "base/random",
     "base/sampling",
     "base/vector",
+    "scene/bvh",
     "scene/camera",
     "scene/data",
     "scene/shapes",

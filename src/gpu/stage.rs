@@ -1,10 +1,11 @@
 //! The stages of the pipeline as data: which kernel source each is linked from, with which flags, and the constants
 //! (counters, queues, argument slots) that host and kernels share. docs/KERNELS.md tells the stages' contracts.
 
-use super::key::{KIND_NAMES, KernelKey};
+use super::key::{KIND_NAMES, KernelKey, SmallScene};
 use crate::layout::GpuStruct;
+use crate::scene::bvh::NODE_ROWS;
 use crate::scene::compiled::{KINDS, Light, Material, Quad, Sphere};
-use crate::scene::rows::{QUAD_HOT_ROWS, SPHERE_HOT_ROWS};
+use crate::scene::rows::{ALIGNED_ROWS, QUAD_HOT_ROWS, SPHERE_HOT_ROWS};
 use std::fmt::Write;
 
 /// How the wavefront engine schedules a level of all paths in flight. All give the same image.
@@ -222,13 +223,24 @@ impl Stage {
         define("ARGUMENT_SHADOW", Argument::Shadow as u32);
         define("ARGUMENT_LEARN", Argument::Learn as u32);
         define("FIRST_HIT_ARGUMENT", Argument::FirstHit as u32);
-        if let Some([spheres, quads]) = scene.small_scene {
+        if let Some(SmallScene { spheres, quads, aligned }) = scene.small_scene {
             define("SPHERES", spheres);
             define("QUADS", quads);
+            for (name, count) in ["ALIGNED_X", "ALIGNED_Y", "ALIGNED_Z"].into_iter().zip(aligned) {
+                define(name, count);
+            }
+            let aligned: u32 = aligned.iter().sum();
+            let first_other = spheres * SPHERE_HOT_ROWS as u32 + aligned * ALIGNED_ROWS as u32;
+            define("FIRST_OTHER_QUAD_ROW", first_other);
             // No array is empty.
-            define("HOT_ROWS", (spheres * SPHERE_HOT_ROWS as u32 + quads * QUAD_HOT_ROWS as u32).max(1));
+            define("HOT_ROWS", (first_other + (quads - aligned) * QUAD_HOT_ROWS as u32).max(1));
+        }
+        if let Some(depth) = scene.bvh {
+            define("BVH_DEPTH", depth);
         }
         for (name, rows) in [
+            ("NODE_ROWS", NODE_ROWS),
+            ("ALIGNED_ROWS", ALIGNED_ROWS),
             ("SPHERE_HOT_ROWS", SPHERE_HOT_ROWS),
             ("SPHERE_REST_ROWS", Sphere::ROWS - SPHERE_HOT_ROWS),
             ("QUAD_HOT_ROWS", QUAD_HOT_ROWS),

@@ -1,5 +1,6 @@
 //! The scene as the transport sees it: f32, flat arrays, lights with their table. GPU twin: kernels/scene/data.wesl
 
+use super::bvh::Bvh;
 use super::{Camera, Geometry, MaterialKind, Scene, rows};
 use crate::gpu_struct;
 use crate::math::fnv1a;
@@ -53,9 +54,9 @@ gpu_struct! {
         first_quad_rest_row: u32,
         first_material_row: u32,
         first_light_row: u32,
+        first_node_row: u32,
         /// Survival in roulette is this times what it would be.
         roulette_scale: f32,
-        _pad1: u32,
     }
     /// What every ray reads comes first; rows.rs says where that ends.
     pub struct Sphere {
@@ -113,11 +114,21 @@ gpu_struct! {
 #[derive(Clone, Debug, Default)]
 pub struct CompiledScene {
     pub spheres: Vec<Sphere>,
+    /// Rectangles whose sides run along axes come first: those at right angles to x, to y, to z.
     pub quads: Vec<Quad>,
+    /// How many of each of those there are.
+    pub aligned: [usize; 3],
     pub materials: Vec<Material>,
     pub lights: Vec<Light>,
     pub environment: Vec3,
+    /// Where the shapes are too many to ask them all.
+    pub bvh: Option<Bvh>,
 }
+
+/// Bytes of what every ray reads of the shapes up to which it may as well ask them all: they lie in a cache of about 2 KiB, and
+/// loops over them unroll. Measured on an H100 with the fused schedule: 2,240 B (door) take 0.62 of the time that the
+/// hierarchy takes, 5.5 KB (many-lights) 1.46 times as long.
+const SMALL_SHAPES: usize = 2560;
 
 impl CompiledScene {
     pub fn new(scene: &Scene) -> CompiledScene {
@@ -146,8 +157,22 @@ impl CompiledScene {
                 }
             }
         }
+        compiled.sort_quads();
         compiled.find_lights();
+        compiled.bvh = (!compiled.is_small()).then(|| Bvh::new(&compiled));
         compiled
+    }
+
+    /// Puts quads that are easily tested first, each kind in the order that it had.
+    fn sort_quads(&mut self) {
+        let kind = |quad: &Quad| quad.axis().unwrap_or(3);
+        self.quads.sort_by_key(kind);
+        self.aligned = [0, 1, 2].map(|axis| self.quads.iter().filter(|quad| kind(quad) == axis).count());
+    }
+
+    /// Whether rays ask all shapes.
+    pub fn is_small(&self) -> bool {
+        size_of_val(&rows::hot(self)[..]) <= SMALL_SHAPES
     }
 
     /// Index among the quads of a shape number, None if it is a sphere.
@@ -216,8 +241,15 @@ impl CompiledScene {
         let right = forward.cross(camera.up).normalize();
         let half_height = (camera.fov_y_deg.to_radians() * 0.5).tan();
         let half_width = half_height * f64::from(width) / f64::from(height);
-        let [_, _, first_sphere_rest_row, first_quad_rest_row, first_material_row, first_light_row] =
-            rows::first_rows(self);
+        let [
+            _,
+            _,
+            first_sphere_rest_row,
+            first_quad_rest_row,
+            first_material_row,
+            first_light_row,
+            first_node_row,
+        ] = rows::first_rows(self);
         Uniforms {
             camera_origin: camera.origin.as_vec3(),
             seed,
@@ -235,8 +267,21 @@ impl CompiledScene {
             first_quad_rest_row,
             first_material_row,
             first_light_row,
+            first_node_row,
             ..Default::default()
         }
+    }
+}
+
+impl Quad {
+    /// The axis that a rectangle with sides along the other two is at right angles to.
+    pub fn axis(&self) -> Option<usize> {
+        let along = |v: Vec3| {
+            let nonzero: Vec<usize> = (0..3).filter(|&k| v[k] != 0.0).collect();
+            if let [axis] = nonzero[..] { Some(axis) } else { None }
+        };
+        let axes = [along(self.normal)?, along(self.dual1)?, along(self.dual2)?];
+        (axes.iter().sum::<usize>() == 3 && axes[1] != axes[2]).then_some(axes[0])
     }
 }
 

@@ -38,6 +38,7 @@
 //! ```
 
 mod boxes;
+pub mod bvh;
 pub mod camera;
 mod coincidence;
 pub mod compiled;

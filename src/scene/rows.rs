@@ -36,7 +36,8 @@ impl<'a> Part<'a> {
 }
 
 /// The parts in the order in which they lie in the buffer.
-fn parts(scene: &CompiledScene) -> [Part<'_>; 6] {
+fn parts(scene: &CompiledScene) -> [Part<'_>; 7] {
+    let nodes = scene.bvh.as_ref().map_or(&[][..], |bvh| &bvh.rows);
     [
         Part::new(&scene.spheres, 0..SPHERE_HOT_ROWS),
         Part::new(&scene.quads, 0..QUAD_HOT_ROWS),
@@ -44,6 +45,7 @@ fn parts(scene: &CompiledScene) -> [Part<'_>; 6] {
         Part::new(&scene.quads, QUAD_HOT_ROWS..Quad::ROWS),
         Part::new(&scene.materials, 0..Material::ROWS),
         Part::new(&scene.lights, 0..Light::ROWS),
+        Part { rows: nodes, rows_per_item: 1, wanted: 0..1 },
     ]
 }
 
@@ -52,13 +54,29 @@ pub fn pack(scene: &CompiledScene) -> Vec<Row> {
     parts(scene).iter().flat_map(Part::rows).collect()
 }
 
-/// The rows that every ray reads: the first ones.
+/// Rows of an aligned quad in [`hot`].
+pub const ALIGNED_ROWS: usize = 2;
+
+/// What every ray reads of a small scene: the first rows of spheres, aligned quads in brief, the first rows of other quads.
 pub fn hot(scene: &CompiledScene) -> Vec<Row> {
-    parts(scene)[..2].iter().flat_map(Part::rows).collect()
+    let [spheres, quads, ..] = parts(scene);
+    let (aligned, others) = scene.quads.split_at(scene.aligned.iter().sum());
+    let aligned = aligned.iter().flat_map(|quad| aligned_rows(quad, quad.axis().unwrap_or(0)));
+    let others = Part::new(others, quads.wanted.clone());
+    spheres.rows().chain(aligned).chain(others.rows()).collect()
+}
+
+/// An aligned quad: where it lies on its axis and where it begins on the next two, in that order around; what a length
+/// along these times is its share of the side.
+fn aligned_rows(quad: &Quad, axis: usize) -> [Row; ALIGNED_ROWS] {
+    let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+    let scale = quad.dual1 + quad.dual2;
+    let row = |values: [f32; 4]| values.map(f32::to_bits);
+    [row([quad.corner[axis], quad.corner[u], quad.corner[v], scale[u]]), row([scale[v], 0.0, 0.0, 0.0])]
 }
 
 /// The number of the first row of each part.
-pub fn first_rows(scene: &CompiledScene) -> [u32; 6] {
+pub fn first_rows(scene: &CompiledScene) -> [u32; 7] {
     let mut next = 0;
     parts(scene).map(|part| {
         let first = next;
@@ -70,8 +88,8 @@ pub fn first_rows(scene: &CompiledScene) -> [u32; 6] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::Camera;
-    use glam::DVec3;
+    use crate::scene::{Camera, Scene};
+    use glam::{DVec3, Vec3};
 
     /// Items whose words are all different, from `first` on. As bits of floats they are small denormals: no NaN.
     fn numbered<T: GpuStruct>(count: usize, first: u32) -> Vec<T> {
@@ -124,9 +142,32 @@ mod tests {
             for (i, light) in scene.lights.iter().enumerate() {
                 assert_eq!(item::<Light>(&rows, i, Light::ROWS, at.first_light_row, 0), *light);
             }
-            assert_eq!(hot(&scene), rows[..spheres + 4 * quads]);
+            assert_eq!(hot(&scene), rows[..spheres + 4 * quads], "no quad is aligned");
             assert_eq!(rows.len(), 2 * spheres + 6 * quads + 2 * 4 + 2 * 5, "nothing lies there twice");
         }
+    }
+
+    #[test]
+    fn aligned_quads_are_found_and_told_in_brief() {
+        let scene = CompiledScene::new(&Scene::load("scenes/door-ajar.toml").unwrap());
+        assert_eq!(scene.quads.len(), 64);
+        assert_eq!(scene.aligned.iter().sum::<usize>(), 63, "all but the door");
+        let hot = hot(&scene);
+        assert_eq!(hot.len(), 2 * 63 + 4);
+        for (quad, rows) in scene.quads.iter().zip(hot.chunks(2)).take(63) {
+            let axis = quad.axis().unwrap();
+            let value = |i: usize| f32::from_bits(rows[i / 4][i % 4]);
+            // The far corner is at share 1 of both sides, a point beyond it is not.
+            let far = quad.corner + quad.e1 + quad.e2;
+            for (k, (corner, scale)) in [(1, (value(1), value(3))), (2, (value(2), value(4)))] {
+                assert!(((far[(axis + k) % 3] - corner) * scale - 1.0).abs() < 1e-6, "{quad:?}");
+            }
+            assert_eq!(value(0), quad.corner[axis]);
+        }
+        let tilted =
+            Quad { normal: Vec3::X, dual1: Vec3::new(0.0, 1.0, 0.5), dual2: Vec3::Z, ..Default::default() };
+        assert_eq!(tilted.axis(), None, "a parallelogram in a plane of two axes");
+        assert_eq!(Quad { dual1: Vec3::Y, ..tilted }.axis(), Some(0));
     }
 
     /// What `sphere_test` and `quad_test` read in kernels/scene/data.wesl.

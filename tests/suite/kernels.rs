@@ -478,7 +478,7 @@ fn buffers_exist_for_what_the_scene_needs_and_nothing_else() {
     assert_eq!(have["rays_b"], 48 * capacity);
     assert_eq!(have["shadows"], 48 * capacity);
     assert_eq!(have["radiance"], 12 * 32 * 32);
-    assert_eq!(have["hot_rows"], 64 * 16, "16 quads, no spheres");
+    assert_eq!(have["hot_rows"], 16 * (2 * 6 + 4 * 10), "6 aligned quads and 10 others, no spheres");
 
     // All four materials, no environment, spheres only.
     let (have, _) = buffers(&scene("bansal-room-1"), Schedule::Streamed, true);
@@ -493,11 +493,13 @@ fn buffers_exist_for_what_the_scene_needs_and_nothing_else() {
     let (have, _) = buffers(&scene("cornell-box"), Schedule::Compacted, false);
     assert!(!have.contains_key("shadows"), "direct light is off: {have:?}");
 
-    // A large scene is one buffer, in which nothing lies twice.
-    let (have, _) = buffers(&scene("door-ajar"), Schedule::Streamed, true);
-    let large = CompiledScene::new(&scene("door-ajar"));
-    let rows = Quad::ROWS * large.quads.len() + 2 * large.materials.len() + 2 * large.lights.len();
-    assert_eq!(have["scene_rows"], 16 * rows as u64);
+    // A large scene is one buffer, in which nothing lies twice: 204 spheres, 24 quads, and 64 bytes for each split of these.
+    let (have, _) = buffers(&scene("many-lights"), Schedule::Streamed, true);
+    let large = CompiledScene::new(&scene("many-lights"));
+    let rows = Sphere::ROWS * large.spheres.len() + Quad::ROWS * large.quads.len();
+    let nodes = 4 * (large.spheres.len() + large.quads.len() - 1);
+    let rest = 2 * large.materials.len() + 2 * large.lights.len();
+    assert_eq!(have["scene_rows"], 16 * (rows + nodes + rest) as u64);
     assert!(!have.contains_key("hot_rows"), "{have:?}");
 
     // What learns is a table, its sums and, where hits have queues, a queue of transitions; rays then remember more.
