@@ -133,7 +133,8 @@ impl Chart {
     pub fn svg(&self) -> String {
         let marks = || self.lines.iter().flat_map(|line| &line.marks);
         let x = Axis::covering(marks().map(|mark| mark.x), LEFT, WIDTH - RIGHT);
-        let y = Axis::covering(marks().map(|mark| mark.y), HEIGHT - BOTTOM, TOP);
+        let tops = marks().map(|mark| mark.y + if mark.spread.is_finite() { mark.spread } else { 0.0 });
+        let y = Axis::covering(marks().map(|mark| mark.y).chain(tops), HEIGHT - BOTTOM, TOP);
         let mut svg = String::new();
         let (id, title) = (&self.id, escape(&self.title));
         let _ = write!(

@@ -6,6 +6,7 @@
 //!
 //! Tests of the GPU fail, and do not skip, where there is no adapter: `tests/run` installs a software one.
 
+mod bench_report;
 mod engines;
 mod films;
 mod floors;
