@@ -118,10 +118,11 @@ fn measure(
                 let light = if direct_light { "" } else { ", no direct light" };
                 let name = format!("{} {engine} {variant}{light}", subject.scene.name);
                 eprint!("[{}/{}] {name}, {} seeds … ", counter.done, counter.of, settings.seeds);
+                let last_goal = settings.checks.goal(settings.checks.len() - 1);
                 let mut last = Vec::new();
                 let outcome = spawn(&job, |row| {
                     file.write(&row)?;
-                    last.extend(row.relative_mse.filter(|_| row.check + 1 == settings.checks.len() as u32));
+                    last.extend(row.relative_mse.filter(|_| row.goal == last_goal));
                     Ok(())
                 });
                 match outcome {

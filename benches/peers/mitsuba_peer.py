@@ -216,10 +216,10 @@ def measure(mi, given, path, write):
         **machine(mi.variant(), given.device),
     }
     for seed in range(1, given.seeds + 1):
-        for check, (samples, seconds, image) in enumerate(render.run(plan, seed)):
+        for samples, seconds, image in render.run(plan, seed):
             plain, trimmed = reference.error_of(image) if reference else (None, None)
             found = {"relative_mse": plain, "trimmed": trimmed}
-            write({**same, "seed": seed, "check": check, "samples": samples, "seconds": seconds, **found})
+            write({**same, "seed": seed, "goal": f"{samples} samples", "samples": samples, "seconds": seconds, **found})
     speed = size[0] * size[1] * samples / seconds / 1e6
     error = "" if plain is None else f", relMSE {plain:.3e}"
     print(f"{name} {mi.variant()}: {samples} samples in {seconds:.3f} s, {speed:.2f} Msamples/s{error}", file=sys.stderr)

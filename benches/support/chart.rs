@@ -109,7 +109,7 @@ pub fn digits(value: f64) -> String {
         "–".to_string()
     } else if size == 0.0 {
         "0".to_string()
-    } else if size >= 99_999.5 || size < 0.001 {
+    } else if !(0.001..99_999.5).contains(&size) {
         // Rounding may carry into another decade: the formatter knows.
         format!("{value:.2e}")
     } else {

@@ -10,7 +10,7 @@ use super::variant::Variant;
 use qtracer::film::read_image;
 use qtracer::{Image, RenderOptions, Renderer, Sampler, Scene};
 use serde::{Deserialize, Serialize};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// What is the same for all jobs of a run.
@@ -108,7 +108,7 @@ impl Job {
             let run = self.render(scene, seed)?;
             for (check, reached) in run.reached.iter().enumerate() {
                 let noise = reference.error_of(&reached.rgb, epsilon)?;
-                emit(filled(&row, check, run.setup_seconds, reached, noise));
+                emit(filled(&row, self.goal(check), run.setup_seconds, reached, noise));
             }
         }
         Ok(())
@@ -133,13 +133,13 @@ impl Job {
                 runs.iter_mut().map(|(_, run)| std::mem::take(&mut run.reached[check].rgb)).collect();
             let noise = truth::scatter(&images, &scale.rgb, self.settings.epsilon)?;
             for ((row, run), noise) in runs.iter().zip(noise) {
-                emit(filled(row, check, run.setup_seconds, &run.reached[check], noise));
+                emit(filled(row, self.goal(check), run.setup_seconds, &run.reached[check], noise));
             }
         }
         Ok(())
     }
 
-    fn make_image(&self, scene: &Scene, path: &PathBuf) -> Result<(), String> {
+    fn make_image(&self, scene: &Scene, path: &Path) -> Result<(), String> {
         let mut images = Vec::new();
         for seed in self.seeds() {
             let run = self.render(scene, seed)?;
@@ -152,6 +152,10 @@ impl Job {
 
     fn seeds(&self) -> std::ops::Range<u32> {
         self.settings.first_seed..self.settings.first_seed + self.settings.seeds
+    }
+
+    fn goal(&self, check: usize) -> String {
+        self.settings.checks.goal(check)
     }
 
     /// Threads, driver and caches are awake before the first clock starts.
@@ -223,9 +227,9 @@ impl Job {
 }
 
 /// A row of what was reached at a check point.
-fn filled(row: &Row, check: usize, setup_seconds: f64, reached: &Reached, noise: Noise) -> Row {
+fn filled(row: &Row, goal: String, setup_seconds: f64, reached: &Reached, noise: Noise) -> Row {
     Row {
-        check: check as u32,
+        goal,
         samples: reached.samples,
         seconds: reached.seconds,
         setup_seconds,

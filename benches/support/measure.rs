@@ -26,6 +26,14 @@ impl Checks {
         }
     }
 
+    /// Check point `check` in words.
+    pub fn goal(&self, check: usize) -> String {
+        match self {
+            Checks::Seconds(seconds) => format!("{} s", seconds[check]),
+            Checks::Samples(samples) => format!("{} samples", samples[check]),
+        }
+    }
+
     fn reached(&self, check: usize, seconds: f64, samples: u32) -> bool {
         match self {
             Checks::Seconds(goals) => seconds >= goals[check],

@@ -45,6 +45,11 @@ pub fn markdown(title: &str, rows: &[Row]) -> String {
         for curve in ranked(scene) {
             let _ = writeln!(text, "| {} |", cells(scene, curve).join(" | "));
         }
+        let _ =
+            write!(text, "\nAll check points:\n\n| {} |\n|{}\n", POINT_COLUMNS.join(" | "), "---|".repeat(6));
+        for cells in all_points(scene) {
+            let _ = writeln!(text, "| {} |", cells.join(" | "));
+        }
     }
     text
 }
@@ -92,6 +97,26 @@ fn cells(scene: &SceneSummary, curve: &Curve) -> [String; 9] {
         with_error(point.efficiency()),
         gain().map_or("–".to_string(), |gain| format!("{gain:.2} ×")),
     ]
+}
+
+const POINT_COLUMNS: [&str; 6] =
+    ["renderer and variant", "samples/pixel", "seconds", "relMSE", "trimmed", "efficiency"];
+
+/// A row for each mark of the plots, for those who can't point at one.
+fn all_points(scene: &SceneSummary) -> Vec<[String; 6]> {
+    let cells = |curve: &Curve, point: &Point| {
+        [
+            curve.label.clone(),
+            format!("{:.0}", point.samples),
+            digits(point.seconds),
+            with_error(point.error),
+            with_error(point.trimmed),
+            with_error(point.efficiency()),
+        ]
+    };
+    let all =
+        ranked(scene).into_iter().flat_map(|curve| curve.points.iter().map(move |point| (curve, point)));
+    all.map(|(curve, point)| cells(curve, point)).collect()
 }
 
 fn with_error(estimate: Option<Estimate>) -> String {
@@ -208,6 +233,7 @@ fn section(at: usize, scene: &SceneSummary, looks: &Looks) -> String {
         );
     }
     html.push_str(&table(scene, looks));
+    html.push_str(&details(scene));
     html.push_str("</section>\n");
     html
 }
@@ -275,6 +301,24 @@ fn table(scene: &SceneSummary, looks: &Looks) -> String {
     }
     html.push_str("</tbody>\n</table></div>\n");
     html
+}
+
+/// All check points, folded away.
+fn details(scene: &SceneSummary) -> String {
+    let class = |at: usize| if at == 0 { "" } else { " class=\"n\"" };
+    let row = |cells: &[String], tag: &str| {
+        let cells = cells
+            .iter()
+            .enumerate()
+            .map(|(at, cell)| format!("<{tag}{}>{}</{tag}>", class(at), escape(cell)));
+        format!("<tr>{}</tr>\n", cells.collect::<String>())
+    };
+    let body: String = all_points(scene).iter().map(|cells| row(cells, "td")).collect();
+    format!(
+        "<details><summary>All check points as numbers</summary>\n<div class=\"wide\"><table>\n<thead>{}</thead>\n\
+         <tbody>\n{body}</tbody>\n</table></div></details>\n",
+        row(&POINT_COLUMNS.map(str::to_string), "th"),
+    )
 }
 
 /// How curves look, the same in all scenes: colours by variant, marks by engine, peers grey.

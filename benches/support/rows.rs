@@ -24,8 +24,9 @@ pub struct Row {
     pub width: u32,
     pub height: u32,
     pub seed: u32,
-    /// Which check point of the render, from 0.
-    pub check: u32,
+    /// The check point that was to be reached, such as `4 s` or `64 samples`: rows of different seeds with the same goal are
+    /// one mark of a plot.
+    pub goal: String,
     /// Per pixel.
     pub samples: u32,
     /// From the first sample on, learning included, and neither the reading of the scene nor compilation.

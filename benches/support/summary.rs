@@ -161,12 +161,13 @@ fn curve_key(row: &Row) -> (&str, &str, &str, bool, u32, &str, &str) {
 }
 
 fn curve(rows: &[&Row]) -> Curve {
-    let mut checks: BTreeMap<u32, Vec<&Row>> = BTreeMap::new();
+    // A seed measured again replaces what it gave before: the same paths twice would feign a smaller error.
+    let mut goals: BTreeMap<&str, BTreeMap<u32, &Row>> = BTreeMap::new();
     for &row in rows {
-        // A seed measured again replaces nothing: both are values of the same thing.
-        checks.entry(row.check).or_default().push(row);
+        goals.entry(&row.goal).or_default().insert(row.seed, row);
     }
-    let mut points: Vec<Point> = checks.values().map(|rows| point(rows)).collect();
+    let seeds = |by_seed: &BTreeMap<u32, &Row>| point(&by_seed.values().copied().collect::<Vec<_>>());
+    let mut points: Vec<Point> = goals.values().map(seeds).collect();
     points.sort_by(|a, b| a.seconds.total_cmp(&b.seconds));
     let first = rows[0];
     Curve {

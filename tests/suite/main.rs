@@ -17,6 +17,7 @@ mod guiding_renders;
 mod guiding_samplers;
 mod kernels;
 mod queues;
+mod recorded_levels;
 mod references;
 mod samplers;
 mod support;
