@@ -22,6 +22,8 @@ use support::truth::{self, Reference};
 /// Seeds of what no error is measured of: far from those of renders.
 const REFERENCE_SEED: u32 = 1_000_000;
 const SCALE_SEED: u32 = 2_000_000;
+/// How images are made that errors are measured against or relative to.
+const PLAIN: &str = "off:throughput:4";
 /// Renders that a self-made reference is the mean of.
 const REFERENCE_PARTS: u32 = 16;
 
@@ -79,9 +81,9 @@ fn run(arguments: &Arguments) -> Result<(), Fault> {
             Err(message) => counter.fail(&subject.scene.name, &message),
         }
     }
-    report(arguments, std::slice::from_ref(&arguments.out)).map_err(failed)?;
+    let reported = report(arguments, std::slice::from_ref(&arguments.out));
     match counter.failures {
-        0 => Ok(()),
+        0 => reported.map_err(failed),
         count => Err(Fault::Failed(format!("{count} failed; what they said is above"))),
     }
 }
@@ -175,8 +177,17 @@ impl Subject {
         let found =
             if arguments.no_reference { None } else { truth::find(&arguments.references, &scene.name) };
         let camera = (scene.camera.width, scene.camera.height);
+        let name = scene.name.clone();
         let own = |reference| Subject { path, size: arguments.size().unwrap_or(camera), scene, reference };
-        let Some(found) = found else { return Ok(own(None)) };
+        let Some(found) = found else {
+            return match arguments.seeds == 1 && arguments.make_reference.is_none() {
+                true => Err(format!(
+                    "{} has no reference: give at least 2 --seeds, or --make-reference SPP",
+                    name
+                )),
+                false => Ok(own(None)),
+            };
+        };
         match Reference::read(&found, arguments.size()) {
             Ok(reference) => {
                 let size = (reference.image.width, reference.image.height);
@@ -215,10 +226,9 @@ impl Subject {
                     ..settings.clone()
                 };
                 let task = Task::Image(path.clone());
-                self.make(&path, &self.job(engine, "off:throughput:4", true, settings, task))?;
+                self.make(&path, &self.job(engine, PLAIN, true, settings, task))?;
                 Ok(Against::Reference { path, self_made: true })
             }
-            None if arguments.seeds < 2 => Err("without a reference, give at least 2 --seeds".to_string()),
             None => {
                 let scale = self.beside_rows(arguments, settings, "scale")?;
                 let checks = match settings.checks.clone() {
@@ -231,7 +241,7 @@ impl Subject {
                 };
                 let settings = Settings { first_seed: SCALE_SEED, seeds: 1, checks, ..settings.clone() };
                 let task = Task::Image(scale.clone());
-                self.make(&scale, &self.job(engine, "auto", true, settings, task))?;
+                self.make(&scale, &self.job(engine, PLAIN, true, settings, task))?;
                 Ok(Against::Seeds { scale })
             }
         }

@@ -6,6 +6,7 @@ use super::machine;
 use super::measure::Checks;
 use super::variant::Variant;
 use clap::Parser;
+use qtracer::guiding::GuideProblem;
 use std::path::PathBuf;
 
 /// How much error is left after so many seconds or samples? Rows, a table and a page of plots.
@@ -116,6 +117,10 @@ impl Arguments {
         self.check_points()?;
         if !(self.epsilon.is_finite() && self.epsilon > 0.0) {
             return Err(format!("--epsilon {}: give a finite number above 0", self.epsilon));
+        }
+        let guide = self.settings()?.guide(Default::default());
+        if let Some(GuideProblem { option, value, remedy }) = guide.problem() {
+            return Err(format!("{option} {value}: {remedy}"));
         }
         if let Some(size) = self.size.as_deref().filter(|size| size.contains(&0)) {
             return Err(format!("--size {} {}: both must be above 0", size[0], size[1]));

@@ -8,6 +8,7 @@ use super::rows::Row;
 use super::truth::{self, Noise, Reference};
 use super::variant::Variant;
 use qtracer::film::read_image;
+use qtracer::guiding::GuideOptions;
 use qtracer::{Image, RenderOptions, Renderer, Sampler, Scene};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -29,6 +30,19 @@ pub struct Settings {
     pub learning: Option<u32>,
     pub cell: Option<f32>,
     pub commit: String,
+}
+
+impl Settings {
+    /// A guide with the numbers that were asked for.
+    pub fn guide(&self, guide: GuideOptions) -> GuideOptions {
+        GuideOptions {
+            mixture: self.mixture.unwrap_or(guide.mixture),
+            depth: self.depth.unwrap_or(guide.depth),
+            learning_samples: self.learning.unwrap_or(guide.learning_samples),
+            cell_size: self.cell.or(guide.cell_size),
+            ..guide
+        }
+    }
 }
 
 /// What the errors of a job are measured against.
@@ -195,11 +209,7 @@ impl Job {
         };
         Way::named(&self.engine)?.apply(&mut options);
         self.variant.parse::<Variant>()?.apply(&mut options);
-        let guide = &mut options.guide;
-        guide.mixture = settings.mixture.unwrap_or(guide.mixture);
-        guide.depth = settings.depth.unwrap_or(guide.depth);
-        guide.learning_samples = settings.learning.unwrap_or(guide.learning_samples);
-        guide.cell_size = settings.cell.or(guide.cell_size);
+        options.guide = settings.guide(options.guide);
         Ok(options)
     }
 

@@ -150,15 +150,18 @@ fn ranked(scene: &SceneSummary) -> Vec<&Curve> {
 fn machines(rows: &[Row]) -> BTreeSet<String> {
     let line = |row: &Row| {
         let driver = if row.driver.is_empty() { String::new() } else { format!(", {}", row.driver) };
-        format!(
-            "{}: {}{driver}; commit or version {}; {}",
-            row.renderer,
-            row.device,
-            known(&row.commit),
-            known(&row.date)
-        )
+        format!("{}: {}{driver}; {}; {}", row.renderer, row.device, version(row), known(&row.date))
     };
     rows.iter().map(line).collect()
+}
+
+/// A peer's rows have its name and version for a commit.
+fn version(row: &Row) -> String {
+    if row.renderer == "qtracer" {
+        format!("commit {}", known(&row.commit))
+    } else {
+        known(&row.commit).to_string()
+    }
 }
 
 fn known(text: &str) -> &str {
@@ -294,7 +297,7 @@ fn table(scene: &SceneSummary, looks: &Looks) -> String {
                     write!(html, "<td class=\"n bar\" style=\"background-size:{share:.0}% 100%\">{cell}</td>")
                 }
                 (_, true) => write!(html, "<td class=\"n\">{cell}</td>"),
-                (_, false) => write!(html, "<td>{cell}</td>"),
+                (_, false) => write!(html, "<td class=\"label\">{cell}</td>"),
             };
         }
         html.push_str("</tr>\n");

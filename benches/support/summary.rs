@@ -208,6 +208,9 @@ fn label(curves: &mut [Curve]) {
     let bounces = differs(&|c| c.max_bounces.to_string());
     let samplers = curves.iter().filter(|c| !c.is_peer()).map(|c| c.sampler.clone());
     let samplers = samplers.collect::<BTreeSet<_>>().len() > 1;
+    let short: BTreeSet<&str> = curves.iter().map(|c| short_device(&c.device)).collect();
+    let full: BTreeSet<&str> = curves.iter().map(|c| c.device.as_str()).collect();
+    let shorten = short.len() == full.len();
     for curve in curves {
         let renderer = if curve.is_peer() { format!("{} ", curve.renderer) } else { String::new() };
         let mut label = format!("{renderer}{} {}", curve.engine, curve.variant);
@@ -221,8 +224,14 @@ fn label(curves: &mut [Curve]) {
             label.push_str(&format!(", {}", curve.sampler));
         }
         if devices {
-            label.push_str(&format!(" ({})", curve.device));
+            let device = if shorten { short_device(&curve.device) } else { &curve.device };
+            label.push_str(&format!(" on {device}"));
         }
         curve.label = label;
     }
+}
+
+/// `llvmpipe` of `llvmpipe (LLVM 15.0.6, 256 bits)`.
+fn short_device(device: &str) -> &str {
+    device.split([',', '(']).next().unwrap_or(device).trim()
 }
