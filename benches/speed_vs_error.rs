@@ -177,17 +177,12 @@ impl Subject {
         let found =
             if arguments.no_reference { None } else { truth::find(&arguments.references, &scene.name) };
         let camera = (scene.camera.width, scene.camera.height);
-        let name = scene.name.clone();
+        if found.is_none() && arguments.seeds == 1 && arguments.make_reference.is_none() {
+            let name = &scene.name;
+            return Err(format!("{name} has no reference: give at least 2 --seeds, or --make-reference SPP"));
+        }
         let own = |reference| Subject { path, size: arguments.size().unwrap_or(camera), scene, reference };
-        let Some(found) = found else {
-            return match arguments.seeds == 1 && arguments.make_reference.is_none() {
-                true => Err(format!(
-                    "{} has no reference: give at least 2 --seeds, or --make-reference SPP",
-                    name
-                )),
-                false => Ok(own(None)),
-            };
-        };
+        let Some(found) = found else { return Ok(own(None)) };
         match Reference::read(&found, arguments.size()) {
             Ok(reference) => {
                 let size = (reference.image.width, reference.image.height);
