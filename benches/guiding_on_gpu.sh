@@ -1,38 +1,38 @@
 #!/usr/bin/env bash
 # What docs/GUIDING.md claims about guiding on a GPU, in one session: efficiency against plain tracing, equal samples,
-# z-tests against the independent images, Bansal's bias.
-#   cargo build --release && cargo bench --no-run --bench efficiency
-#   QTRACER=target/release/qtracer EFFICIENCY=target/release/deps/efficiency-HASH \
+# z-tests against the independent images, Bansal's bias. Each part of the first two has a folder of its own with rows, a
+# table and a page.
+#   cargo build --release && cargo bench --no-run --bench speed_vs_error
+#   QTRACER=target/release/qtracer SPEED_VS_ERROR=target/release/deps/speed_vs_error-HASH \
 #   REFERENCES=DIR_WITH_MITSUBA_EXR OUT=benches/results/DATE-DEVICE benches/guiding_on_gpu.sh [door|seed5|indirect|equal|references|scenes|long]…
 set -u
-: "${QTRACER:?}" "${EFFICIENCY:?}" "${OUT:?}"
+: "${QTRACER:?}" "${SPEED_VS_ERROR:?}" "${OUT:?}"
 parts=${*:-door seed5 indirect equal references scenes long}
 mkdir -p "$OUT"
 scratch=$(mktemp -d)
-rows="$OUT/guiding.jsonl"
 "$QTRACER" info > "$OUT/device.txt"
 
-# efficiency SCENE SEEDS SECONDS VARIANT… [-- OPTION…]: a table; errors are relMSE by the scatter between seeds.
+# efficiency PART SCENE SEEDS SECONDS VARIANT… [--OPTION…]: rows, table and page in OUT/PART; errors by the scatter between seeds.
 efficiency() {
-  local scene=$1 seeds=$2 seconds=$3; shift 3
-  echo; "$EFFICIENCY" --engine wavefront --scene "scenes/$scene.toml" --seeds "$seeds" --seconds "$seconds" --json "$rows" --variant "$@"
+  local part=$1 scene=$2 seeds=$3 seconds=$4; shift 4
+  "$SPEED_VS_ERROR" --engines wavefront --scenes "scenes/$scene.toml" --size 640 480 --no-reference --seeds "$seeds" \
+    --seconds "$seconds" --title "Guiding: $part" --out "$OUT/$part" --variants "$@" > "$OUT/$part.log"
 }
 
 door() {
-  efficiency door-ajar 10 1,4 auto off:throughput:16 --epsilon 1e-4
-  efficiency door-ajar 5 1 off:throughput:1 off:throughput:4 off:off off:learnt adaptive octant --epsilon 1e-4
+  efficiency door door-ajar 10 1,4 auto off:throughput:16 --epsilon 1e-4
+  efficiency door-1s door-ajar 5 1 off:throughput:1 off:throughput:4 off:off off:learnt adaptive octant --epsilon 1e-4
 }
 seed5() {
-  efficiency bansal-room-5 10 4 auto off:throughput:4
-  efficiency bansal-room-5 3 1 auto off:throughput:1 off:throughput:4 off:throughput:16 off:off off:learnt adaptive octant
+  efficiency seed5 bansal-room-5 10 4 auto off:throughput:4
+  efficiency seed5-1s bansal-room-5 3 1 auto off:throughput:1 off:throughput:4 off:throughput:16 off:off off:learnt adaptive octant
 }
 indirect() { # no direct light
-  efficiency door-ajar 2 4 auto off:throughput:4 off:throughput:16 --epsilon 1e-4 --direct-light false
+  efficiency indirect door-ajar 2 4 auto off:throughput:4 off:throughput:16 --epsilon 1e-4 --direct-light off
 }
 equal() { # equal samples, no roulette, learning included
-  for variant in adaptive:off octant:off off:off; do
-    "$EFFICIENCY" --engine wavefront --scene scenes/door-ajar.toml --size 128 128 --seeds 10 --spp 1024 --epsilon 1e-4 --json "$rows" --variant $variant
-  done
+  "$SPEED_VS_ERROR" --engines wavefront --scenes scenes/door-ajar.toml --size 128 128 --no-reference --seeds 10 --spp 1024 \
+    --epsilon 1e-4 --title "Guiding: equal samples" --out "$OUT/equal" --variants adaptive:off octant:off off:off > "$OUT/equal.log"
 }
 references() {
   for pair in cornell-box:cornell bansal-room-1:seed1 bansal-room-5:seed5 door-ajar:door glass-caustic:caustic; do
@@ -44,18 +44,18 @@ references() {
       echo "## ${pair%:*}, guide $guide, roulette $roulette, $spp samples a pixel"
       "$QTRACER" compare "$scratch/ours.exr" "$REFERENCES/${pair#*:}.exr" --z-test 2>/dev/null; echo "exit $?"; echo
     done
-  done
+  done | tee "$OUT/references.md"
 }
 scenes() {
   for scene in bansal-exp-1 bansal-exp-3 bansal-room-1 cornell-box glass-caustic glossy-box many-lights; do
-    efficiency $scene 2 4 auto off:throughput:4
-    efficiency $scene 2 1 off:throughput:1 off:throughput:16 off:off
+    efficiency scenes $scene 2 4 auto off:throughput:4
+    efficiency scenes-1s $scene 2 1 off:throughput:1 off:throughput:16 off:off
   done
   for scene in bansal-exp-2 furnace-closed-50 furnace-closed-90 furnace-open furnace-open-half; do
-    efficiency $scene 2 1 auto off:throughput:4
+    efficiency scenes-1s $scene 2 1 auto off:throughput:4
   done
 }
-long() { efficiency door-ajar 2 16 auto --epsilon 1e-4; efficiency bansal-room-5 2 16 auto; }
+long() { efficiency long door-ajar 2 16 auto --epsilon 1e-4; efficiency long bansal-room-5 2 16 auto; }
 
-for part in $parts; do $part 2>&1 | tee "$OUT/guiding-$part.md"; done
+for part in $parts; do $part; done
 rm -rf "$scratch"

@@ -27,6 +27,8 @@ pub use renderer::Renderer;
 pub use show::GuideView;
 pub use stats::{GuideStats, RenderStats};
 pub use strategy::{Pass, Strategy};
+#[doc(hidden)]
+pub use wavefront::recorded::{RecordedLevel, RecordedStage};
 
 use crate::film::Film;
 use crate::guiding::{GuideTable, Lessons};

@@ -255,6 +255,10 @@ impl Tracer for WavefrontEngine {
     }
 }
 
+/// Here since it holds an engine still in the midst of a level.
+#[path = "recorded.rs"]
+pub mod recorded;
+
 #[cfg(test)]
 #[path = "wavefront_tests.rs"]
 mod tests;

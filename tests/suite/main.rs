@@ -6,6 +6,7 @@
 //!
 //! Tests of the GPU fail, and do not skip, where there is no adapter: `tests/run` installs a software one.
 
+mod bench_report;
 mod engines;
 mod films;
 mod floors;
@@ -16,6 +17,7 @@ mod guiding_renders;
 mod guiding_samplers;
 mod kernels;
 mod queues;
+mod recorded_levels;
 mod references;
 mod samplers;
 mod support;

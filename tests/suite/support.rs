@@ -40,7 +40,7 @@ impl Engine {
 }
 
 /// Part of the name of the adapter to test, from `QTRACER_TEST_ADAPTER`; the best one if that is not set.
-fn adapter() -> Option<String> {
+pub fn adapter() -> Option<String> {
     std::env::var("QTRACER_TEST_ADAPTER").ok()
 }
 

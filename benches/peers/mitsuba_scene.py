@@ -1,0 +1,201 @@
+"""A scene of qtracer (scenes/*.toml, or JSON with the same keys) as a scene of Mitsuba 3.
+
+`mitsuba.set_variant(...)` must have been called before `load`.
+"""
+
+import json
+import math
+import tomllib
+from pathlib import Path
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+
+def read(path):
+    """The scene file as a dictionary."""
+    text = Path(path).read_text(encoding="utf-8")
+    return json.loads(text) if str(path).endswith(".json") else tomllib.loads(text)
+
+
+def load(description, size, max_depth, roulette_depth):
+    """Mitsuba's scene: its path integrator (direct light and MIS), a box filter of one pixel, independent samples."""
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": max_depth, "rr_depth": roulette_depth},
+        "sensor": _camera(description["camera"], size),
+    }
+    radiance = description.get("environment", {}).get("radiance", [0, 0, 0])
+    if max(radiance) > 0:
+        scene["environment"] = {"type": "constant", "radiance": _rgb(radiance)}
+    materials = description.get("materials", {})
+    for name, material in materials.items():
+        scene[f"material_{name}"] = {**_material(material), "id": f"material_{name}"}
+    for i, (material, shape) in enumerate(_shapes(description)):
+        shape["bsdf"] = {"type": "ref", "id": f"material_{material}"}
+        emission = materials[material].get("emission", [0, 0, 0])
+        if max(emission) > 0:
+            shape["emitter"] = {"type": "area", "radiance": _rgb(emission)}
+        scene[f"shape_{i:04}"] = shape
+    return mi.load_dict(scene)
+
+
+def _rgb(colour):
+    return {"type": "rgb", "value": [float(c) for c in colour]}
+
+
+def _camera(camera, size):
+    width, height = size
+    near = 1e-3 if max(abs(x) for x in camera["origin"]) < 20 else 1e-2
+    up = camera.get("up", [0, 1, 0])
+    return {
+        "type": "perspective",
+        "fov": camera["fov_y_deg"],
+        "fov_axis": "y",
+        "near_clip": near,
+        "far_clip": 1e5,
+        "to_world": mi.ScalarTransform4f().look_at(origin=camera["origin"], target=camera["target"], up=up),
+        "film": {
+            "type": "hdrfilm",
+            "width": width,
+            "height": height,
+            "rfilter": {"type": "box"},
+            "pixel_format": "rgb",
+            "component_format": "float32",
+        },
+        "sampler": {"type": "independent"},
+    }
+
+
+def _material(material):
+    """What reflects on both sides in qtracer is made two-sided here."""
+    kind = material["type"]
+    if kind == "dielectric":
+        tint = _rgb(material.get("tint", [1, 1, 1]))
+        return {
+            "type": "dielectric",
+            "int_ior": float(material["ior"]),
+            "ext_ior": 1.0,
+            "specular_reflectance": tint,
+            "specular_transmittance": tint,
+        }
+    colour = _rgb(material["color"])
+    diffuse = {"type": "diffuse", "reflectance": colour}
+    if kind == "diffuse":
+        return {"type": "twosided", "side": diffuse}
+    if kind == "mirror":
+        mirror = {"type": "conductor", "material": "none", "specular_reflectance": colour}
+        level = float(material.get("level", 1.0))
+        return {"type": "twosided", "side": {"type": "blendbsdf", "weight": level, "a": diffuse, "b": mirror}}
+    if kind == "glossy":
+        _register_glossy()
+        lobe = {"type": "qtracer_glossy", "exponent": float(material["exponent"]), "color": colour}
+        return {"type": "twosided", "side": lobe}
+    raise ValueError(f"unknown material type {kind}")
+
+
+def _shapes(description):
+    """(material, shape without it); boxes become six quads, outward."""
+    for shape in description.get("shapes", []):
+        kind = shape["type"]
+        if kind == "sphere":
+            inward = bool(shape.get("inward", False))
+            sphere = {"type": "sphere", "center": shape["center"], "radius": shape["radius"], "flip_normals": inward}
+            yield shape["material"], sphere
+        elif kind == "quad":
+            yield shape["material"], _quad(shape["corner"], shape["e1"], shape["e2"])
+        elif kind == "box":
+            for side in _box(shape):
+                yield shape["material"], _quad(*side)
+        else:
+            raise ValueError(f"unknown shape type {kind}")
+
+
+def _quad(corner, e1, e2):
+    """The parallelogram of `corner`, outward e1 × e2: Mitsuba's rectangle spans -1 to 1 and faces +z."""
+    corner, e1, e2 = (np.asarray(v, dtype=float) for v in (corner, e1, e2))
+    normal = np.cross(e1, e2)
+    matrix = np.eye(4)
+    matrix[:3, 0] = e1 / 2
+    matrix[:3, 1] = e2 / 2
+    matrix[:3, 2] = normal / np.linalg.norm(normal)
+    matrix[:3, 3] = corner + e1 / 2 + e2 / 2
+    return {"type": "rectangle", "to_world": mi.ScalarTransform4f(matrix)}
+
+
+def _box(shape):
+    """(corner, e1, e2) of the six sides."""
+    angle = math.radians(shape.get("rotate_y_deg", 0.0))
+    sin, cos = math.sin(angle), math.cos(angle)
+    width, height, depth = shape["size"]
+    x = np.array([cos, 0, -sin]) * width
+    y = np.array([0.0, 1, 0]) * height
+    z = np.array([sin, 0, cos]) * depth
+    low = np.asarray(shape["center"], dtype=float) - (x + y + z) / 2
+    return [(low, z, y), (low + x, y, z), (low, x, z), (low + y, z, x), (low, y, x), (low + z, x, y)]
+
+
+_registered = set()
+
+
+def _register_glossy():
+    """qtracer's glossy lobe, which Mitsuba lacks: f·cosθ = color · (n+1)/2π · (cosⁿα + cosⁿα′), where α is the angle to the
+    mirror direction and α′ that of the direction reflected in the surface: what falls below it is folded up."""
+    if mi.variant() in _registered:
+        return
+    if mi.variant().startswith("scalar"):
+        raise ValueError("its glossy material is written in Python, which scalar variants run far too slowly")
+    _registered.add(mi.variant())
+
+    class Glossy(mi.BSDF):
+        def __init__(self, props):
+            mi.BSDF.__init__(self, props)
+            self.exponent = float(props["exponent"])
+            color = props["color"]
+            self.color = mi.Color3f(color[0], color[1], color[2])
+            flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
+            self.m_components = [flags]
+            self.m_flags = flags
+
+        def traverse(self, callback):
+            pass
+
+        def _density(self, wi, wo):
+            scale = (self.exponent + 1) / (2 * math.pi)
+            mirrored = mi.Vector3f(-wi.x, -wi.y, wi.z)
+            above = dr.maximum(dr.dot(mirrored, wo), 0)
+            below = dr.maximum(dr.dot(mirrored, mi.Vector3f(wo.x, wo.y, -wo.z)), 0)
+            power = lambda cosine: dr.select(cosine > 0, dr.power(cosine, self.exponent), 0)
+            return scale * (power(above) + power(below))
+
+        def sample(self, ctx, si, sample1, sample2, active):
+            wi = si.wi
+            cosine = dr.power(sample2.x, 1 / (self.exponent + 1))
+            sine = dr.safe_sqrt(1 - cosine * cosine)
+            phi = 2 * math.pi * sample2.y
+            lobe = mi.Frame3f(mi.Vector3f(-wi.x, -wi.y, wi.z))
+            wo = lobe.to_world(mi.Vector3f(sine * dr.cos(phi), sine * dr.sin(phi), cosine))
+            wo = mi.Vector3f(wo.x, wo.y, dr.abs(wo.z))
+            active = active & (wi.z > 0) & (wo.z > 0)
+            found = mi.BSDFSample3f()
+            found.wo = wo
+            found.pdf = dr.select(active, self._density(wi, wo), 0)
+            found.eta = 1
+            found.sampled_type = +mi.BSDFFlags.GlossyReflection
+            found.sampled_component = 0
+            return found, dr.select(active & (found.pdf > 0), self.color, 0)
+
+        def eval(self, ctx, si, wo, active):
+            return self.color * self.pdf(ctx, si, wo, active)
+
+        def pdf(self, ctx, si, wo, active):
+            return dr.select(active & (si.wi.z > 0) & (wo.z > 0), self._density(si.wi, wo), 0)
+
+        def eval_pdf(self, ctx, si, wo, active):
+            return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+
+        def to_string(self):
+            return f"Glossy[exponent={self.exponent}]"
+
+    mi.register_bsdf("qtracer_glossy", Glossy)
