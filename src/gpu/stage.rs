@@ -119,11 +119,10 @@ pub enum Stage {
 impl Stage {
     /// Stages that the wavefront engine runs for this scene, in order of a level; no others are linked.
     pub fn wavefront(key: &KernelKey, schedule: Schedule) -> Vec<Stage> {
-        let mut stages = vec![Stage::PrepareRays, Stage::Generate];
         if schedule == Schedule::Fused {
-            stages.extend([Stage::Step, Stage::Resolve]);
-            return stages;
+            return vec![Stage::PrepareRays, Stage::Step, Stage::Resolve];
         }
+        let mut stages = vec![Stage::PrepareRays, Stage::Generate];
         if key.direct_light {
             stages.push(Stage::Shadow);
         }
