@@ -1,21 +1,20 @@
 //! Eight shapes at a time. The same arithmetic as [`crate::scene::shapes`], lane by lane and bit for bit (a test holds it to
-//! that), laid out so that the compiler turns it into vector instructions: AVX2 where the processor has it.
+//! that), written once over [`Lanes`]: AVX2 where the processor has it, arrays elsewhere.
 
+#[cfg(target_arch = "x86_64")]
+use super::vector::{Avx2, has_avx2};
+use super::vector::{LANES, Lane, LaneMask, Lanes};
 use crate::scene::compiled::{CompiledScene, Quad, Sphere};
 use crate::scene::shapes::{Hit, Ray, T_MISS};
-
-const LANES: usize = 8;
-type Lane = [f32; LANES];
+use glam::Vec3;
 
 #[derive(Clone, Debug)]
-#[repr(align(32))]
 struct SphereBlock {
     center: [Lane; 3],
     radius: Lane,
 }
 
 #[derive(Clone, Debug)]
-#[repr(align(32))]
 struct QuadBlock {
     corner: [Lane; 3],
     normal: [Lane; 3],
@@ -33,60 +32,146 @@ pub struct ShapeLanes {
 
 /// The values of one lane array, taken from up to eight shapes; `fill` in the rest.
 fn gather<T>(shapes: &[T], fill: f32, value: impl Fn(&T) -> f32) -> Lane {
-    std::array::from_fn(|i| shapes.get(i).map_or(fill, &value))
+    Lane(std::array::from_fn(|i| shapes.get(i).map_or(fill, &value)))
 }
 
-fn gather3<T>(shapes: &[T], value: impl Fn(&T) -> glam::Vec3) -> [Lane; 3] {
+fn gather3<T>(shapes: &[T], value: impl Fn(&T) -> Vec3) -> [Lane; 3] {
     std::array::from_fn(|axis| gather(shapes, 0.0, |shape| value(shape)[axis]))
 }
 
 #[inline(always)]
-fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
-    // In glam's order, so that lanes round as scalars do.
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+fn splat3<L: Lanes>(v: Vec3) -> [L; 3] {
+    [L::splat(v.x), L::splat(v.y), L::splat(v.z)]
 }
 
 #[inline(always)]
-fn lane(v: &[Lane; 3], i: usize) -> [f32; 3] {
-    [v[0][i], v[1][i], v[2][i]]
+fn load3<L: Lanes>(v: &[Lane; 3]) -> [L; 3] {
+    [L::load(&v[0]), L::load(&v[1]), L::load(&v[2])]
 }
 
-impl SphereBlock {
+#[inline(always)]
+fn sub3<L: Lanes>(a: [L; 3], b: [L; 3]) -> [L; 3] {
+    [a[0].sub(b[0]), a[1].sub(b[1]), a[2].sub(b[2])]
+}
+
+/// a + b · s
+#[inline(always)]
+fn along<L: Lanes>(a: [L; 3], b: [L; 3], s: L) -> [L; 3] {
+    [a[0].add(b[0].mul(s)), a[1].add(b[1].mul(s)), a[2].add(b[2].mul(s))]
+}
+
+#[inline(always)]
+fn dot<L: Lanes>(a: [L; 3], b: [L; 3]) -> L {
+    // In glam's order, so that lanes round as scalars do.
+    a[0].mul(b[0]).add(a[1].mul(b[1])).add(a[2].mul(b[2]))
+}
+
+/// One ray in every lane.
+#[derive(Clone, Copy)]
+struct LaneRay<L> {
+    origin: [L; 3],
+    direction: [L; 3],
+}
+
+impl<L: Lanes> LaneRay<L> {
+    #[inline(always)]
+    fn new(ray: Ray) -> Self {
+        LaneRay { origin: splat3(ray.origin), direction: splat3(ray.direction) }
+    }
+}
+
+trait Block {
+    /// Distance along the ray to every lane's shape, [`T_MISS`] if it is not met.
+    fn distances<L: Lanes>(&self, ray: &LaneRay<L>) -> L;
+}
+
+impl Block for SphereBlock {
     /// [`crate::scene::shapes::intersect_sphere`] for every lane. A radius that is no number is never hit.
     #[inline(always)]
-    fn distances(&self, origin: [f32; 3], direction: [f32; 3]) -> Lane {
-        std::array::from_fn(|i| {
-            let center = lane(&self.center, i);
-            let f: [f32; 3] = std::array::from_fn(|k| origin[k] - center[k]);
-            let b = -dot(f, direction);
-            let approach: [f32; 3] = std::array::from_fn(|k| f[k] + direction[k] * b);
-            let discriminant = self.radius[i] * self.radius[i] - dot(approach, approach);
-            let root = discriminant.sqrt();
-            let q = if b >= 0.0 { b + root } else { b - root };
-            let other = (dot(f, f) - self.radius[i] * self.radius[i]) / q;
-            let (near, far) = (q.min(other), q.max(other));
-            let t = if near > 0.0 { near } else { far };
-            if (discriminant >= 0.0) & (t > 0.0) { t } else { T_MISS }
-        })
+    fn distances<L: Lanes>(&self, ray: &LaneRay<L>) -> L {
+        let (zero, radius) = (L::splat(0.0), L::load(&self.radius));
+        let radius2 = radius.mul(radius);
+        let f = sub3(ray.origin, load3(&self.center));
+        let b = dot(f, ray.direction).neg();
+        let approach = along(f, ray.direction, b);
+        let discriminant = radius2.sub(dot(approach, approach));
+        let root = discriminant.sqrt();
+        let q = L::select(zero.le(b), b.add(root), b.sub(root));
+        let other = dot(f, f).sub(radius2).div(q);
+        let (near, far) = (other.min(q), other.max(q));
+        let t = L::select(zero.lt(near), near, far);
+        L::select(zero.le(discriminant).and(zero.lt(t)), t, L::splat(T_MISS))
     }
 }
 
-impl QuadBlock {
+impl Block for QuadBlock {
     /// [`crate::scene::shapes::intersect_quad`] for every lane. A normal of zero is never hit.
     #[inline(always)]
-    fn distances(&self, origin: [f32; 3], direction: [f32; 3]) -> Lane {
-        std::array::from_fn(|i| {
-            let (corner, normal) = (lane(&self.corner, i), lane(&self.normal, i));
-            let from_corner: [f32; 3] = std::array::from_fn(|k| origin[k] - corner[k]);
-            let t = -dot(normal, from_corner) / dot(normal, direction);
-            let p: [f32; 3] = std::array::from_fn(|k| from_corner[k] + direction[k] * t);
-            let (a, b) = (dot(p, lane(&self.dual1, i)), dot(p, lane(&self.dual2, i)));
-            // Without branches: `contains` compiles to one and is slower.
-            #[expect(clippy::manual_range_contains)]
-            let inside = (a >= 0.0) & (a <= 1.0) & (b >= 0.0) & (b <= 1.0);
-            if inside & (t > 0.0) { t } else { T_MISS }
-        })
+    fn distances<L: Lanes>(&self, ray: &LaneRay<L>) -> L {
+        let (zero, one) = (L::splat(0.0), L::splat(1.0));
+        let normal = load3(&self.normal);
+        let from_corner = sub3(ray.origin, load3(&self.corner));
+        let t = dot(normal, from_corner).neg().div(dot(normal, ray.direction));
+        let p = along(from_corner, ray.direction, t);
+        let (a, b) = (dot(p, load3(&self.dual1)), dot(p, load3(&self.dual2)));
+        let inside = zero.le(a).and(a.le(one)).and(zero.le(b)).and(b.le(one));
+        L::select(inside.and(zero.lt(t)), t, L::splat(T_MISS))
     }
+}
+
+/// The nearest shape so far, lane by lane. Shapes are numbered in f32, which is exact below 2²⁴.
+#[derive(Clone, Copy)]
+struct Nearest<L> {
+    t: L,
+    shape: L,
+}
+
+impl<L: Lanes> Nearest<L> {
+    /// Shapes of `blocks`, the first of which is number `first`, if they are nearer.
+    #[inline(always)]
+    fn among(mut self, blocks: &[impl Block], first: u32, ray: &LaneRay<L>) -> Self {
+        let mut shape = L::count_from(first as f32);
+        for block in blocks {
+            let t = block.distances(ray);
+            let nearer = t.lt(self.t);
+            self.t = L::select(nearer, t, self.t);
+            self.shape = L::select(nearer, shape, self.shape);
+            shape = shape.add(L::splat(LANES as f32));
+        }
+        self
+    }
+
+    /// The first of the nearest shapes: the one that a loop over the shapes would find.
+    #[inline(always)]
+    fn hit(self) -> Option<Hit> {
+        let t = self.t.least();
+        if t >= T_MISS {
+            return None;
+        }
+        let none = L::splat(f32::INFINITY);
+        let shape = L::select(self.t.le(L::splat(t)), self.shape, none).least();
+        Some(Hit { t, shape: shape as u32 })
+    }
+}
+
+/// Whether any shape of `blocks` but `excluded` lies nearer than `t_max`.
+#[inline(always)]
+fn any_nearer<L: Lanes>(
+    blocks: &[impl Block],
+    first: u32,
+    ray: &LaneRay<L>,
+    t_max: f32,
+    excluded: u32,
+) -> bool {
+    let mut shape = L::count_from(first as f32);
+    for block in blocks {
+        let blocks = block.distances(ray).lt(L::splat(t_max)).and(shape.ne(L::splat(excluded as f32)));
+        if blocks.any() {
+            return true;
+        }
+        shape = shape.add(L::splat(LANES as f32));
+    }
+    false
 }
 
 impl ShapeLanes {
@@ -109,87 +194,53 @@ impl ShapeLanes {
     }
 
     /// The nearest shape that the ray meets.
+    #[inline]
     pub fn intersect(&self, ray: Ray) -> Option<Hit> {
         #[cfg(target_arch = "x86_64")]
-        if std::arch::is_x86_feature_detected!("avx2") {
+        if has_avx2() {
             // SAFETY: the processor has AVX2.
             return unsafe { self.intersect_avx2(ray) };
         }
-        self.nearest(ray)
+        self.nearest::<Lane>(ray)
     }
 
     /// Whether anything but `excluded` (the light aimed at) lies nearer than `t_max`.
+    #[inline]
     pub fn occluded(&self, ray: Ray, t_max: f32, excluded: u32) -> bool {
         #[cfg(target_arch = "x86_64")]
-        if std::arch::is_x86_feature_detected!("avx2") {
+        if has_avx2() {
             // SAFETY: the processor has AVX2.
             return unsafe { self.occluded_avx2(ray, t_max, excluded) };
         }
-        self.any_nearer(ray, t_max, excluded)
+        self.any_nearer::<Lane>(ray, t_max, excluded)
     }
 
     #[cfg(target_arch = "x86_64")]
+    #[inline]
     #[target_feature(enable = "avx2")]
-    unsafe fn intersect_avx2(&self, ray: Ray) -> Option<Hit> {
-        self.nearest(ray)
+    fn intersect_avx2(&self, ray: Ray) -> Option<Hit> {
+        self.nearest::<Avx2>(ray)
     }
 
     #[cfg(target_arch = "x86_64")]
+    #[inline]
     #[target_feature(enable = "avx2")]
-    unsafe fn occluded_avx2(&self, ray: Ray, t_max: f32, excluded: u32) -> bool {
-        self.any_nearer(ray, t_max, excluded)
+    fn occluded_avx2(&self, ray: Ray, t_max: f32, excluded: u32) -> bool {
+        self.any_nearer::<Avx2>(ray, t_max, excluded)
     }
 
     #[inline(always)]
-    fn nearest(&self, ray: Ray) -> Option<Hit> {
-        let (origin, direction) = (ray.origin.to_array(), ray.direction.to_array());
-        let mut hit = Hit { t: T_MISS, shape: u32::MAX };
-        let mut first = 0;
-        for block in &self.spheres {
-            keep_nearest(&mut hit, &block.distances(origin, direction), first);
-            first += LANES as u32;
-        }
-        let mut first = self.first_quad;
-        for block in &self.quads {
-            keep_nearest(&mut hit, &block.distances(origin, direction), first);
-            first += LANES as u32;
-        }
-        (hit.shape != u32::MAX).then_some(hit)
+    fn nearest<L: Lanes>(&self, ray: Ray) -> Option<Hit> {
+        let ray = LaneRay::<L>::new(ray);
+        let nothing = Nearest { t: L::splat(T_MISS), shape: L::splat(f32::INFINITY) };
+        nothing.among(&self.spheres, 0, &ray).among(&self.quads, self.first_quad, &ray).hit()
     }
 
     #[inline(always)]
-    fn any_nearer(&self, ray: Ray, t_max: f32, excluded: u32) -> bool {
-        let (origin, direction) = (ray.origin.to_array(), ray.direction.to_array());
-        let blocks = |t: &Lane, first: u32| {
-            t.iter()
-                .enumerate()
-                .fold(false, |any, (i, t)| any | ((*t < t_max) & (first + i as u32 != excluded)))
-        };
-        let mut first = 0;
-        for block in &self.spheres {
-            if blocks(&block.distances(origin, direction), first) {
-                return true;
-            }
-            first += LANES as u32;
-        }
-        let mut first = self.first_quad;
-        for block in &self.quads {
-            if blocks(&block.distances(origin, direction), first) {
-                return true;
-            }
-            first += LANES as u32;
-        }
-        false
-    }
-}
-
-/// The first of the nearest lanes, if it is nearer than `hit`: the order in which a loop over the shapes would find it.
-#[inline(always)]
-fn keep_nearest(hit: &mut Hit, distances: &Lane, first: u32) {
-    let nearest = distances.iter().fold(T_MISS, |a, &b| if b < a { b } else { a });
-    if nearest < hit.t {
-        let lane = distances.iter().position(|&t| t == nearest).unwrap_or(0);
-        *hit = Hit { t: nearest, shape: first + lane as u32 };
+    fn any_nearer<L: Lanes>(&self, ray: Ray, t_max: f32, excluded: u32) -> bool {
+        let ray = LaneRay::<L>::new(ray);
+        any_nearer(&self.spheres, 0, &ray, t_max, excluded)
+            || any_nearer(&self.quads, self.first_quad, &ray, t_max, excluded)
     }
 }
 
@@ -199,7 +250,6 @@ mod tests {
     use crate::random::{SampleKey, Sampler, sample4};
     use crate::scene::Scene;
     use crate::scene::shapes::{intersect, occluded};
-    use glam::Vec3;
 
     #[test]
     fn lanes_find_what_a_loop_over_the_shapes_finds_bit_for_bit() {
