@@ -1,5 +1,6 @@
 //! The CPU engine: the transport functions over rayon. Also what renders where there is no GPU.
 
+use super::cpu_levels::trace_all;
 use super::strategy::{Pass, Strategy};
 use super::{CancelToken, Engine, EngineKind, Estimators, RenderError, RenderStats};
 use crate::accel::ShapeLanes;
@@ -8,6 +9,7 @@ use crate::guiding::{GuideTable, LessonLayout, LessonSums, Lessons};
 use crate::scene::compiled::{CompiledScene, Uniforms};
 use crate::transport::guide::Guidance;
 use crate::transport::path::Transport;
+use glam::Vec3;
 use rayon::prelude::*;
 use std::ops::Range;
 use std::time::Instant;
@@ -24,6 +26,8 @@ pub struct CpuEngine {
 
 /// How long a step should take, in seconds.
 const STEP_SECONDS: f64 = 0.25;
+/// How many paths a thread traces before it adds them to the film.
+const PATHS_AT_ONCE: u32 = 4096;
 
 impl CpuEngine {
     pub fn new(scene: CompiledScene, uniforms: Uniforms, estimators: Estimators) -> Self {
@@ -66,15 +70,29 @@ impl CpuEngine {
         let rows = film.pixels_mut().par_chunks_mut(width).enumerate();
         let rays = rows.map(|(row, pixels)| {
             let mut rays = 0;
+            let (mut paths, mut radiance) = (Vec::new(), Vec::new());
             if cancel.is_cancelled() {
                 return rays;
             }
-            for (column, pixel) in pixels.iter_mut().enumerate() {
-                for sample in 0..uniforms.sample_count {
-                    let index = (row * width + column) as u32;
-                    let (radiance, traced) = transport.trace(sample * uniforms.pixel_count + index);
-                    pixel.add(radiance);
-                    rays += u64::from(traced);
+            let samples = uniforms.sample_count;
+            let group = (PATHS_AT_ONCE / samples.max(1)).max(1) as usize;
+            for (number, group_pixels) in pixels.chunks_mut(group).enumerate() {
+                let first = (row * width + number * group) as u32;
+                let mut begin = 0;
+                while begin < samples {
+                    let end = samples.min(begin.saturating_add(PATHS_AT_ONCE));
+                    paths.clear();
+                    for pixel in 0..group_pixels.len() as u32 {
+                        paths.extend((begin..end).map(|s| s * uniforms.pixel_count + first + pixel));
+                    }
+                    radiance.clear();
+                    radiance.resize(paths.len(), Vec3::ZERO);
+                    rays += trace_all(&transport, &paths, &mut radiance);
+                    let of_pixels = radiance.chunks((end - begin) as usize);
+                    for (pixel, samples) in group_pixels.iter_mut().zip(of_pixels) {
+                        samples.iter().for_each(|&radiance| pixel.add(radiance));
+                    }
+                    begin = end;
                 }
             }
             rays

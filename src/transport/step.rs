@@ -52,7 +52,7 @@ impl Transport<'_> {
 
     /// Adds a transition to the pass's sums.
     #[inline]
-    fn learn(&self, transition: &Transition) {
+    pub fn learn(&self, transition: &Transition) {
         if let Some(guidance) = self.guidance
             && guidance.table.uniforms.learning != 0
         {
