@@ -1,5 +1,6 @@
-//! Eight shapes at a time. The same arithmetic as [`crate::scene::shapes`], lane by lane and bit for bit (a test holds it to
-//! that), written once over [`Lanes`]: AVX2 where the processor has it, arrays elsewhere.
+//! Shapes and rays eight at a time: one ray against eight shapes, or eight rays against one shape after the other, which
+//! wastes no lane on shapes that do not exist. The same arithmetic as [`crate::scene::shapes`], lane by lane and bit for bit
+//! (a test holds it to that), written once over [`Lanes`]: AVX2 where the processor has it, arrays elsewhere.
 
 #[cfg(target_arch = "x86_64")]
 use super::vector::{Avx2, has_avx2};
@@ -8,26 +9,71 @@ use crate::scene::compiled::{CompiledScene, Quad, Sphere};
 use crate::scene::shapes::{Hit, Ray, T_MISS};
 use glam::Vec3;
 
+/// Eight spheres in memory, in registers, or one sphere eight times.
 #[derive(Clone, Debug)]
-struct SphereBlock {
-    center: [Lane; 3],
-    radius: Lane,
+struct SphereBlock<L> {
+    center: [L; 3],
+    radius: L,
 }
 
+/// Eight parallelograms, likewise.
 #[derive(Clone, Debug)]
-struct QuadBlock {
-    corner: [Lane; 3],
-    normal: [Lane; 3],
-    dual1: [Lane; 3],
-    dual2: [Lane; 3],
+struct QuadBlock<L> {
+    corner: [L; 3],
+    normal: [L; 3],
+    dual1: [L; 3],
+    dual2: [L; 3],
 }
 
 /// All shapes of a scene in blocks of eight, spheres first. Lanes that no shape fills are never hit.
 #[derive(Clone, Debug, Default)]
 pub struct ShapeLanes {
-    spheres: Vec<SphereBlock>,
-    quads: Vec<QuadBlock>,
-    first_quad: u32,
+    spheres: Vec<SphereBlock<Lane>>,
+    quads: Vec<QuadBlock<Lane>>,
+    sphere_count: u32,
+    quad_count: u32,
+}
+
+/// Eight rays. A ray that was never set meets what it likes.
+#[derive(Clone, Copy, Debug)]
+pub struct RayLanes {
+    origin: [Lane; 3],
+    direction: [Lane; 3],
+}
+
+impl RayLanes {
+    /// How many rays go together.
+    pub const COUNT: usize = LANES;
+
+    pub const fn new() -> RayLanes {
+        RayLanes { origin: [Lane([0.0; LANES]); 3], direction: [Lane([0.0; LANES]); 3] }
+    }
+
+    #[inline(always)]
+    pub fn set(&mut self, i: usize, ray: Ray) {
+        for axis in 0..3 {
+            self.origin[axis].0[i] = ray.origin[axis];
+            self.direction[axis].0[i] = ray.direction[axis];
+        }
+    }
+}
+
+/// What bounds eight shadow rays.
+#[derive(Clone, Copy, Debug)]
+pub struct ShadowEnds {
+    t_max: Lane,
+    excluded: Lane,
+}
+
+impl ShadowEnds {
+    pub const fn new() -> ShadowEnds {
+        ShadowEnds { t_max: Lane([0.0; LANES]), excluded: Lane([0.0; LANES]) }
+    }
+
+    #[inline(always)]
+    pub fn set(&mut self, i: usize, t_max: f32, excluded: u32) {
+        (self.t_max.0[i], self.excluded.0[i]) = (t_max, excluded as f32);
+    }
 }
 
 /// The values of one lane array, taken from up to eight shapes; `fill` in the rest.
@@ -40,13 +86,19 @@ fn gather3<T>(shapes: &[T], value: impl Fn(&T) -> Vec3) -> [Lane; 3] {
 }
 
 #[inline(always)]
-fn splat3<L: Lanes>(v: Vec3) -> [L; 3] {
-    [L::splat(v.x), L::splat(v.y), L::splat(v.z)]
+fn splat3<L: Lanes>(v: [f32; 3]) -> [L; 3] {
+    [L::splat(v[0]), L::splat(v[1]), L::splat(v[2])]
 }
 
 #[inline(always)]
 fn load3<L: Lanes>(v: &[Lane; 3]) -> [L; 3] {
     [L::load(&v[0]), L::load(&v[1]), L::load(&v[2])]
+}
+
+/// One lane of each, in all lanes.
+#[inline(always)]
+fn spread3<L: Lanes>(v: &[Lane; 3], i: usize) -> [L; 3] {
+    splat3([v[0].0[i], v[1].0[i], v[2].0[i]])
 }
 
 #[inline(always)]
@@ -66,7 +118,7 @@ fn dot<L: Lanes>(a: [L; 3], b: [L; 3]) -> L {
     a[0].mul(b[0]).add(a[1].mul(b[1])).add(a[2].mul(b[2]))
 }
 
-/// One ray in every lane.
+/// Eight rays in registers, or one ray eight times.
 #[derive(Clone, Copy)]
 struct LaneRay<L> {
     origin: [L; 3],
@@ -75,23 +127,48 @@ struct LaneRay<L> {
 
 impl<L: Lanes> LaneRay<L> {
     #[inline(always)]
-    fn new(ray: Ray) -> Self {
-        LaneRay { origin: splat3(ray.origin), direction: splat3(ray.direction) }
+    fn one(ray: Ray) -> Self {
+        LaneRay { origin: splat3(ray.origin.to_array()), direction: splat3(ray.direction.to_array()) }
+    }
+
+    #[inline(always)]
+    fn eight(rays: &RayLanes) -> Self {
+        LaneRay { origin: load3(&rays.origin), direction: load3(&rays.direction) }
     }
 }
 
 trait Block {
-    /// Distance along the ray to every lane's shape, [`T_MISS`] if it is not met.
-    fn distances<L: Lanes>(&self, ray: &LaneRay<L>) -> L;
+    type In<L: Lanes>: Distances<L>;
+    /// The eight shapes in registers.
+    fn load<L: Lanes>(&self) -> Self::In<L>;
+    /// One of the eight in all lanes.
+    fn spread<L: Lanes>(&self, i: usize) -> Self::In<L>;
 }
 
-impl Block for SphereBlock {
-    /// [`crate::scene::shapes::intersect_sphere`] for every lane. A radius that is no number is never hit.
+trait Distances<L> {
+    /// Distance along every lane's ray to that lane's shape, [`T_MISS`] if it is not met.
+    fn distances(&self, ray: &LaneRay<L>) -> L;
+}
+
+impl Block for SphereBlock<Lane> {
+    type In<L: Lanes> = SphereBlock<L>;
     #[inline(always)]
-    fn distances<L: Lanes>(&self, ray: &LaneRay<L>) -> L {
-        let (zero, radius) = (L::splat(0.0), L::load(&self.radius));
-        let radius2 = radius.mul(radius);
-        let f = sub3(ray.origin, load3(&self.center));
+    fn load<L: Lanes>(&self) -> SphereBlock<L> {
+        SphereBlock { center: load3(&self.center), radius: L::load(&self.radius) }
+    }
+    #[inline(always)]
+    fn spread<L: Lanes>(&self, i: usize) -> SphereBlock<L> {
+        SphereBlock { center: spread3(&self.center, i), radius: L::splat(self.radius.0[i]) }
+    }
+}
+
+impl<L: Lanes> Distances<L> for SphereBlock<L> {
+    /// [`crate::scene::shapes::intersect_sphere`] in every lane. A radius that is no number is never hit.
+    #[inline(always)]
+    fn distances(&self, ray: &LaneRay<L>) -> L {
+        let zero = L::splat(0.0);
+        let radius2 = self.radius.mul(self.radius);
+        let f = sub3(ray.origin, self.center);
         let b = dot(f, ray.direction).neg();
         let approach = along(f, ray.direction, b);
         let discriminant = radius2.sub(dot(approach, approach));
@@ -104,16 +181,37 @@ impl Block for SphereBlock {
     }
 }
 
-impl Block for QuadBlock {
-    /// [`crate::scene::shapes::intersect_quad`] for every lane. A normal of zero is never hit.
+impl Block for QuadBlock<Lane> {
+    type In<L: Lanes> = QuadBlock<L>;
     #[inline(always)]
-    fn distances<L: Lanes>(&self, ray: &LaneRay<L>) -> L {
+    fn load<L: Lanes>(&self) -> QuadBlock<L> {
+        QuadBlock {
+            corner: load3(&self.corner),
+            normal: load3(&self.normal),
+            dual1: load3(&self.dual1),
+            dual2: load3(&self.dual2),
+        }
+    }
+    #[inline(always)]
+    fn spread<L: Lanes>(&self, i: usize) -> QuadBlock<L> {
+        QuadBlock {
+            corner: spread3(&self.corner, i),
+            normal: spread3(&self.normal, i),
+            dual1: spread3(&self.dual1, i),
+            dual2: spread3(&self.dual2, i),
+        }
+    }
+}
+
+impl<L: Lanes> Distances<L> for QuadBlock<L> {
+    /// [`crate::scene::shapes::intersect_quad`] in every lane. A normal of zero is never hit.
+    #[inline(always)]
+    fn distances(&self, ray: &LaneRay<L>) -> L {
         let (zero, one) = (L::splat(0.0), L::splat(1.0));
-        let normal = load3(&self.normal);
-        let from_corner = sub3(ray.origin, load3(&self.corner));
-        let t = dot(normal, from_corner).neg().div(dot(normal, ray.direction));
+        let from_corner = sub3(ray.origin, self.corner);
+        let t = dot(self.normal, from_corner).neg().div(dot(self.normal, ray.direction));
         let p = along(from_corner, ray.direction, t);
-        let (a, b) = (dot(p, load3(&self.dual1)), dot(p, load3(&self.dual2)));
+        let (a, b) = (dot(p, self.dual1), dot(p, self.dual2));
         let inside = zero.le(a).and(a.le(one)).and(zero.le(b)).and(b.le(one));
         L::select(inside.and(zero.lt(t)), t, L::splat(T_MISS))
     }
@@ -127,21 +225,42 @@ struct Nearest<L> {
 }
 
 impl<L: Lanes> Nearest<L> {
-    /// Shapes of `blocks`, the first of which is number `first`, if they are nearer.
+    #[inline(always)]
+    fn nothing() -> Self {
+        Nearest { t: L::splat(T_MISS), shape: L::splat(f32::INFINITY) }
+    }
+
+    #[inline(always)]
+    fn or(self, t: L, shape: L) -> Self {
+        let nearer = t.lt(self.t);
+        Nearest { t: L::select(nearer, t, self.t), shape: L::select(nearer, shape, self.shape) }
+    }
+
+    /// One ray, eight shapes at a time; the first is number `first`.
     #[inline(always)]
     fn among(mut self, blocks: &[impl Block], first: u32, ray: &LaneRay<L>) -> Self {
         let mut shape = L::count_from(first as f32);
         for block in blocks {
-            let t = block.distances(ray);
-            let nearer = t.lt(self.t);
-            self.t = L::select(nearer, t, self.t);
-            self.shape = L::select(nearer, shape, self.shape);
+            self = self.or(block.load().distances(ray), shape);
             shape = shape.add(L::splat(LANES as f32));
         }
         self
     }
 
-    /// The first of the nearest shapes: the one that a loop over the shapes would find.
+    /// Eight rays, one shape at a time.
+    #[inline(always)]
+    fn for_each(mut self, blocks: &[impl Block], first: u32, count: u32, rays: &LaneRay<L>) -> Self {
+        for (number, block) in blocks.iter().enumerate() {
+            let before = number * LANES;
+            for i in 0..LANES.min(count as usize - before) {
+                let shape = first + (before + i) as u32;
+                self = self.or(block.spread(i).distances(rays), L::splat(shape as f32));
+            }
+        }
+        self
+    }
+
+    /// Of one ray: the first of the nearest shapes, the one that a loop over the shapes would find.
     #[inline(always)]
     fn hit(self) -> Option<Hit> {
         let t = self.t.least();
@@ -151,6 +270,13 @@ impl<L: Lanes> Nearest<L> {
         let none = L::splat(f32::INFINITY);
         let shape = L::select(self.t.le(L::splat(t)), self.shape, none).least();
         Some(Hit { t, shape: shape as u32 })
+    }
+
+    /// Of eight rays.
+    #[inline(always)]
+    fn hits(self) -> [Option<Hit>; LANES] {
+        let (Lane(t), Lane(shape)) = (self.t.store(), self.shape.store());
+        std::array::from_fn(|i| (t[i] < T_MISS).then_some(Hit { t: t[i], shape: shape[i] as u32 }))
     }
 }
 
@@ -165,13 +291,49 @@ fn any_nearer<L: Lanes>(
 ) -> bool {
     let mut shape = L::count_from(first as f32);
     for block in blocks {
-        let blocks = block.distances(ray).lt(L::splat(t_max)).and(shape.ne(L::splat(excluded as f32)));
-        if blocks.any() {
+        let t: L = block.load().distances(ray);
+        if t.lt(L::splat(t_max)).and(shape.ne(L::splat(excluded as f32))).bits() != 0 {
             return true;
         }
         shape = shape.add(L::splat(LANES as f32));
     }
     false
+}
+
+/// The same for eight rays: a bit for each.
+#[inline(always)]
+fn any_nearer_each<L: Lanes>(
+    blocks: &[impl Block],
+    first: u32,
+    count: u32,
+    rays: &LaneRay<L>,
+    (t_max, excluded): (L, L),
+) -> u32 {
+    let mut blocked = 0;
+    for (number, block) in blocks.iter().enumerate() {
+        let before = number * LANES;
+        for i in 0..LANES.min(count as usize - before) {
+            let shape = L::splat((first + (before + i) as u32) as f32);
+            let t: L = block.spread(i).distances(rays);
+            blocked |= t.lt(t_max).and(shape.ne(excluded)).bits();
+        }
+        if blocked == u32::from(u8::MAX) {
+            break;
+        }
+    }
+    blocked
+}
+
+/// The method of the name for the best kind of lanes that this processor has.
+macro_rules! dispatch {
+    ($self:ident.$method:ident($($argument:expr),*) or $avx2:ident) => {{
+        #[cfg(target_arch = "x86_64")]
+        if has_avx2() {
+            // SAFETY: the processor has AVX2.
+            return unsafe { $self.$avx2($($argument),*) };
+        }
+        $self.$method::<Lane>($($argument),*)
+    }};
 }
 
 impl ShapeLanes {
@@ -189,58 +351,83 @@ impl ShapeLanes {
         ShapeLanes {
             spheres: scene.spheres.chunks(LANES).map(sphere_block).collect(),
             quads: scene.quads.chunks(LANES).map(quad_block).collect(),
-            first_quad: scene.spheres.len() as u32,
+            sphere_count: scene.spheres.len() as u32,
+            quad_count: scene.quads.len() as u32,
         }
     }
 
     /// The nearest shape that the ray meets.
-    #[inline]
     pub fn intersect(&self, ray: Ray) -> Option<Hit> {
-        #[cfg(target_arch = "x86_64")]
-        if has_avx2() {
-            // SAFETY: the processor has AVX2.
-            return unsafe { self.intersect_avx2(ray) };
-        }
-        self.nearest::<Lane>(ray)
+        dispatch!(self.nearest(ray) or nearest_avx2)
     }
 
     /// Whether anything but `excluded` (the light aimed at) lies nearer than `t_max`.
-    #[inline]
     pub fn occluded(&self, ray: Ray, t_max: f32, excluded: u32) -> bool {
-        #[cfg(target_arch = "x86_64")]
-        if has_avx2() {
-            // SAFETY: the processor has AVX2.
-            return unsafe { self.occluded_avx2(ray, t_max, excluded) };
-        }
-        self.any_nearer::<Lane>(ray, t_max, excluded)
+        dispatch!(self.any_nearer(ray, t_max, excluded) or any_nearer_avx2)
+    }
+
+    /// [`ShapeLanes::intersect`] for eight rays.
+    pub fn intersect_eight(&self, rays: &RayLanes) -> [Option<Hit>; LANES] {
+        dispatch!(self.nearest_eight(rays) or nearest_eight_avx2)
+    }
+
+    /// [`ShapeLanes::occluded`] for eight rays: a bit for each.
+    pub fn occluded_eight(&self, rays: &RayLanes, ends: &ShadowEnds) -> u32 {
+        dispatch!(self.any_nearer_eight(rays, ends) or any_nearer_eight_avx2)
     }
 
     #[cfg(target_arch = "x86_64")]
-    #[inline]
     #[target_feature(enable = "avx2")]
-    fn intersect_avx2(&self, ray: Ray) -> Option<Hit> {
+    fn nearest_avx2(&self, ray: Ray) -> Option<Hit> {
         self.nearest::<Avx2>(ray)
     }
 
     #[cfg(target_arch = "x86_64")]
-    #[inline]
     #[target_feature(enable = "avx2")]
-    fn occluded_avx2(&self, ray: Ray, t_max: f32, excluded: u32) -> bool {
+    fn any_nearer_avx2(&self, ray: Ray, t_max: f32, excluded: u32) -> bool {
         self.any_nearer::<Avx2>(ray, t_max, excluded)
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn nearest_eight_avx2(&self, rays: &RayLanes) -> [Option<Hit>; LANES] {
+        self.nearest_eight::<Avx2>(rays)
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn any_nearer_eight_avx2(&self, rays: &RayLanes, ends: &ShadowEnds) -> u32 {
+        self.any_nearer_eight::<Avx2>(rays, ends)
     }
 
     #[inline(always)]
     fn nearest<L: Lanes>(&self, ray: Ray) -> Option<Hit> {
-        let ray = LaneRay::<L>::new(ray);
-        let nothing = Nearest { t: L::splat(T_MISS), shape: L::splat(f32::INFINITY) };
-        nothing.among(&self.spheres, 0, &ray).among(&self.quads, self.first_quad, &ray).hit()
+        let ray = LaneRay::<L>::one(ray);
+        Nearest::nothing().among(&self.spheres, 0, &ray).among(&self.quads, self.sphere_count, &ray).hit()
     }
 
     #[inline(always)]
     fn any_nearer<L: Lanes>(&self, ray: Ray, t_max: f32, excluded: u32) -> bool {
-        let ray = LaneRay::<L>::new(ray);
+        let ray = LaneRay::<L>::one(ray);
         any_nearer(&self.spheres, 0, &ray, t_max, excluded)
-            || any_nearer(&self.quads, self.first_quad, &ray, t_max, excluded)
+            || any_nearer(&self.quads, self.sphere_count, &ray, t_max, excluded)
+    }
+
+    #[inline(always)]
+    fn nearest_eight<L: Lanes>(&self, rays: &RayLanes) -> [Option<Hit>; LANES] {
+        let (rays, spheres) = (LaneRay::<L>::eight(rays), self.sphere_count);
+        Nearest::nothing()
+            .for_each(&self.spheres, 0, spheres, &rays)
+            .for_each(&self.quads, spheres, self.quad_count, &rays)
+            .hits()
+    }
+
+    #[inline(always)]
+    fn any_nearer_eight<L: Lanes>(&self, rays: &RayLanes, ends: &ShadowEnds) -> u32 {
+        let (rays, spheres) = (LaneRay::<L>::eight(rays), self.sphere_count);
+        let ends = (L::load(&ends.t_max), L::load(&ends.excluded));
+        any_nearer_each(&self.spheres, 0, spheres, &rays, ends)
+            | any_nearer_each(&self.quads, spheres, self.quad_count, &rays, ends)
     }
 }
 

@@ -3,4 +3,4 @@
 mod lanes;
 mod vector;
 
-pub use lanes::ShapeLanes;
+pub use lanes::{RayLanes, ShadowEnds, ShapeLanes};

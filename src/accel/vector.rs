@@ -14,6 +14,7 @@ pub trait Lanes: Copy {
     type Mask: LaneMask;
     fn splat(v: f32) -> Self;
     fn load(lane: &Lane) -> Self;
+    fn store(self) -> Lane;
     fn add(self, o: Self) -> Self;
     fn sub(self, o: Self) -> Self;
     fn mul(self, o: Self) -> Self;
@@ -41,7 +42,8 @@ pub trait Lanes: Copy {
 /// A truth value in every lane.
 pub trait LaneMask: Copy {
     fn and(self, o: Self) -> Self;
-    fn any(self) -> bool;
+    /// Lane i as bit i.
+    fn bits(self) -> u32;
 }
 
 impl Lane {
@@ -64,6 +66,10 @@ impl Lanes for Lane {
     #[inline(always)]
     fn load(lane: &Lane) -> Self {
         *lane
+    }
+    #[inline(always)]
+    fn store(self) -> Lane {
+        self
     }
     #[inline(always)]
     fn add(self, o: Self) -> Self {
@@ -125,8 +131,8 @@ impl LaneMask for [bool; LANES] {
         std::array::from_fn(|i| self[i] & o[i])
     }
     #[inline(always)]
-    fn any(self) -> bool {
-        self.into_iter().fold(false, |any, lane| any | lane)
+    fn bits(self) -> u32 {
+        self.into_iter().enumerate().fold(0, |bits, (i, lane)| bits | u32::from(lane) << i)
     }
 }
 
@@ -159,6 +165,12 @@ mod avx2 {
         fn load(lane: &Lane) -> Self {
             // A lane is 32 bytes, aligned to 32.
             Avx2(unsafe { _mm256_load_ps(lane.0.as_ptr()) })
+        }
+        #[inline(always)]
+        fn store(self) -> Lane {
+            let mut lane = Lane([0.0; 8]);
+            unsafe { _mm256_store_ps(lane.0.as_mut_ptr(), self.0) };
+            lane
         }
         #[inline(always)]
         fn add(self, o: Self) -> Self {
@@ -224,8 +236,8 @@ mod avx2 {
             Avx2(unsafe { _mm256_and_ps(self.0, o.0) })
         }
         #[inline(always)]
-        fn any(self) -> bool {
-            unsafe { _mm256_movemask_ps(self.0) != 0 }
+        fn bits(self) -> u32 {
+            unsafe { _mm256_movemask_ps(self.0) as u32 }
         }
     }
 }

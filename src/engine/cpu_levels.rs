@@ -2,14 +2,17 @@
 //! A path alone is a chain in which everything waits for what comes before; the same stage for many paths keeps a core
 //! busy. Every path sees the same functions in the same order as in [`Transport::trace`], so bits are the same.
 
+use crate::accel::{RayLanes, ShadowEnds};
 use crate::guiding::{Trail, Transition};
 use crate::scene::shapes::{Hit, Ray};
-use crate::transport::items::{RayItem, ShadowItem};
+use crate::transport::items::RayItem;
 use crate::transport::path::Transport;
 use glam::Vec3;
 
 /// Paths in flight.
 const POOL: usize = 64;
+/// Rays that are intersected together.
+const TOGETHER: usize = RayLanes::COUNT;
 
 /// A path in flight.
 #[derive(Clone, Copy, Default)]
@@ -23,7 +26,7 @@ struct Flight {
 /// A shadow ray that waits for its test.
 #[derive(Clone, Copy, Default)]
 struct Waiting {
-    shadow: ShadowItem,
+    radiance: Vec3,
     /// What the slot learns if nothing is in the way.
     slot: u32,
     value: f32,
@@ -50,13 +53,17 @@ fn trace_all_avx2(transport: &Transport, paths: &[u32], radiance: &mut [Vec3]) -
 #[inline(always)]
 fn trace_levels(transport: &Transport, paths: &[u32], radiance: &mut [Vec3]) -> u64 {
     let mut flights = [Flight::default(); POOL];
-    let mut hits = [None::<Hit>; POOL];
+    let mut lanes = [RayLanes::new(); POOL / TOGETHER];
     let mut shadows = [Waiting::default(); POOL];
+    let mut shadow_lanes = [(RayLanes::new(), ShadowEnds::new()); POOL / TOGETHER];
+    let mut hits = [[None::<Hit>; TOGETHER]; POOL / TOGETHER];
     let (mut live, mut rays) = (0, 0);
     let mut fresh = paths.iter().enumerate();
     loop {
         for (place, &path) in fresh.by_ref().take(POOL - live) {
-            flights[live] = Flight { ray: transport.generate(path), trail: Trail::default(), place };
+            let ray = transport.generate(path);
+            lanes[live / TOGETHER].set(live % TOGETHER, ray_of(&ray));
+            flights[live] = Flight { ray, trail: Trail::default(), place };
             live += 1;
         }
         if live == 0 {
@@ -64,14 +71,14 @@ fn trace_levels(transport: &Transport, paths: &[u32], radiance: &mut [Vec3]) -> 
         }
         rays += live as u64;
 
-        for (hit, Flight { ray, .. }) in hits.iter_mut().zip(&flights[..live]) {
-            *hit = transport.lanes.intersect(Ray { origin: ray.origin, direction: ray.direction });
+        for (hits, lanes) in hits.iter_mut().zip(&lanes).take(live.div_ceil(TOGETHER)) {
+            *hits = transport.lanes.intersect_eight(lanes);
         }
 
         let (mut kept, mut waiting) = (0, 0);
         for i in 0..live {
             let Flight { ray, trail, place } = flights[i];
-            let Some(hit) = hits[i] else {
+            let Some(hit) = hits[i / TOGETHER][i % TOGETHER] else {
                 let value = transport.environment_value(&trail);
                 transport.learn(&Transition { slot: trail.slot, value, ..Default::default() });
                 radiance[place] += transport.environment(&ray);
@@ -81,22 +88,35 @@ fn trace_levels(transport: &Transport, paths: &[u32], radiance: &mut [Vec3]) -> 
             transport.learn(&shaded.transition);
             radiance[place] += shaded.emitted;
             if let Some(shadow) = shaded.shadow {
-                shadows[waiting] = Waiting { shadow, slot: trail.slot, value: shaded.shadow_value, place };
+                let (rays, ends) = &mut shadow_lanes[waiting / TOGETHER];
+                rays.set(waiting % TOGETHER, Ray { origin: shadow.origin, direction: shadow.direction });
+                ends.set(waiting % TOGETHER, shadow.t_max, shadow.light_shape);
+                let (radiance, value) = (shadow.radiance, shaded.shadow_value);
+                shadows[waiting] = Waiting { radiance, slot: trail.slot, value, place };
                 waiting += 1;
             }
             if let Some(ray) = shaded.ray {
+                lanes[kept / TOGETHER].set(kept % TOGETHER, ray_of(&ray));
                 flights[kept] = Flight { ray, trail: shaded.trail, place };
                 kept += 1;
             }
         }
         live = kept;
 
-        for Waiting { shadow, slot, value, place } in &shadows[..waiting] {
-            let towards = Ray { origin: shadow.origin, direction: shadow.direction };
-            if !transport.lanes.occluded(towards, shadow.t_max, shadow.light_shape) {
-                transport.learn(&Transition { slot: *slot, value: *value, ..Default::default() });
-                radiance[*place] += shadow.radiance;
+        for (shadows, (rays, ends)) in shadows[..waiting].chunks(TOGETHER).zip(&shadow_lanes) {
+            let blocked = transport.lanes.occluded_eight(rays, ends);
+            for (i, waiting) in shadows.iter().enumerate() {
+                if blocked >> i & 1 == 0 {
+                    let Waiting { slot, value, .. } = *waiting;
+                    transport.learn(&Transition { slot, value, ..Default::default() });
+                    radiance[waiting.place] += waiting.radiance;
+                }
             }
         }
     }
+}
+
+#[inline(always)]
+fn ray_of(item: &RayItem) -> Ray {
+    Ray { origin: item.origin, direction: item.direction }
 }
