@@ -3,7 +3,7 @@
 use glam::Vec3;
 
 /// Two tangents that complete `normal` to a right-handed orthonormal basis (Duff et al. 2017).
-#[inline]
+#[inline(always)]
 pub fn frame_around(normal: Vec3) -> (Vec3, Vec3) {
     let s = if normal.z >= 0.0 { 1.0 } else { -1.0 };
     let a = -1.0 / (s + normal.z);
@@ -15,7 +15,7 @@ pub fn frame_around(normal: Vec3) -> (Vec3, Vec3) {
 }
 
 /// `local`, given in the frame whose third axis is `normal`, in world coordinates.
-#[inline]
+#[inline(always)]
 pub fn to_world(local: Vec3, normal: Vec3) -> Vec3 {
     let (tangent, bitangent) = frame_around(normal);
     tangent * local.x + bitangent * local.y + normal * local.z

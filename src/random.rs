@@ -43,7 +43,7 @@ pub struct SampleKey {
 }
 
 /// PCG4D, Jarzynski & Olano 2020, "Hash Functions for GPU Rendering".
-#[inline]
+#[inline(always)]
 pub fn pcg4d(key: [u32; 4]) -> [u32; 4] {
     let [mut x, mut y, mut z, mut w] = key.map(|k| k.wrapping_mul(1664525).wrapping_add(1013904223));
     for round in 0..2 {
@@ -66,7 +66,7 @@ fn unit_float(bits: [u32; 4]) -> Vec4 {
 
 /// Nested uniform scramble (Laine & Karras 2011, constants by Vegdahl) of an index: it permutes every aligned
 /// block of 2ᵏ indices into another such block, which keeps a low-discrepancy sequence one.
-#[inline]
+#[inline(always)]
 fn shuffle_index(index: u32, seed: u32) -> u32 {
     let mut x = index.reverse_bits();
     x ^= x.wrapping_mul(0x3d20adea);
@@ -84,7 +84,7 @@ const R2: [u32; 2] = [3242174889, 2447445414];
 ///
 /// Stratified: two planar R2 sequences over the samples of the pixel, each started at a random point and walked in its
 /// own shuffled order, so that dimensions stay independent.
-#[inline]
+#[inline(always)]
 pub fn sample4(sampler: Sampler, key: SampleKey, dimension: u32) -> Vec4 {
     match sampler {
         Sampler::Independent => unit_float(pcg4d([key.pixel, key.sample, dimension, key.seed])),

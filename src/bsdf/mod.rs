@@ -31,7 +31,7 @@ pub struct BsdfValue {
 }
 
 /// Chooses `wi`. `u` holds three numbers in [0, 1): two for the direction, one for the lobe.
-#[inline]
+#[inline(always)]
 pub fn bsdf_sample(material: &Material, normal: Vec3, wo: Vec3, outside: bool, u: Vec3) -> BsdfSample {
     match material.kind {
         KIND_DIFFUSE => diffuse::sample(material, normal, u.xy()),
@@ -53,7 +53,7 @@ pub fn lambert_share(material: &Material) -> f32 {
 }
 
 /// Evaluates `wi`. Delta lobes contribute nothing here: no direction chosen elsewhere meets them.
-#[inline]
+#[inline(always)]
 pub fn bsdf_evaluate(material: &Material, normal: Vec3, wo: Vec3, wi: Vec3) -> BsdfValue {
     match material.kind {
         KIND_DIFFUSE => diffuse::evaluate(material, normal, wi),

@@ -50,8 +50,17 @@ fn trace_all_avx2(transport: &Transport, paths: &[u32], radiance: &mut [Vec3]) -
     trace_levels(transport, paths, radiance)
 }
 
+/// Without a guide, a copy that the compiler knows to be without one.
 #[inline(always)]
 fn trace_levels(transport: &Transport, paths: &[u32], radiance: &mut [Vec3]) -> u64 {
+    match transport.guidance {
+        None => levels(&Transport { guidance: None, ..*transport }, paths, radiance),
+        Some(_) => levels(transport, paths, radiance),
+    }
+}
+
+#[inline(always)]
+fn levels(transport: &Transport, paths: &[u32], radiance: &mut [Vec3]) -> u64 {
     let mut flights = [Flight::default(); POOL];
     let mut lanes = [RayLanes::new(); POOL / TOGETHER];
     let mut shadows = [Waiting::default(); POOL];
