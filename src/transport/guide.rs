@@ -46,7 +46,7 @@ impl GuidePoint {
 
 impl Transport<'_> {
     /// What the guide knows here; None where it has no part: guiding is off, or the material has no Lambertian lobe.
-    #[inline]
+    #[inline(always)]
     pub fn guide_point(&self, surface: &Surface, normal: Vec3, material: &Material) -> Option<GuidePoint> {
         let guidance = self.guidance?;
         let share = lambert_share(material);

@@ -40,7 +40,7 @@ pub const LEAST_SURVIVAL: f32 = 0.05;
 impl Transport<'_> {
     /// Chance with which the path goes on; a survivor carries the weight of those that did not. `throughput` includes
     /// this surface.
-    #[inline]
+    #[inline(always)]
     pub(super) fn roulette_survival(
         &self,
         ray: &RayItem,

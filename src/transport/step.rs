@@ -51,7 +51,7 @@ impl Transport<'_> {
     }
 
     /// Adds a transition to the pass's sums.
-    #[inline]
+    #[inline(always)]
     pub fn learn(&self, transition: &Transition) {
         if let Some(guidance) = self.guidance
             && guidance.table.uniforms.learning != 0
