@@ -1,10 +1,10 @@
 //! Shapes and rays eight at a time: one ray against eight shapes, or eight rays against one shape after the other, which
 //! wastes no lane on shapes that do not exist. The same arithmetic as [`crate::scene::shapes`], lane by lane and bit for bit
-//! (a test holds it to that), written once over [`Lanes`]: AVX2 where the processor has it, arrays elsewhere.
+//! (a test holds it to that), written once over [`Lanes`]: AVX2 where the processor has it, twice four lanes elsewhere.
 
 #[cfg(target_arch = "x86_64")]
 use super::vector::{Avx2, has_avx2};
-use super::vector::{LANES, Lane, LaneMask, Lanes};
+use super::vector::{Fours, LANES, Lane, LaneMask, Lanes};
 use crate::scene::compiled::{CompiledScene, Quad, Sphere};
 use crate::scene::shapes::{Hit, Ray, T_MISS};
 use glam::Vec3;
@@ -332,12 +332,13 @@ macro_rules! dispatch {
             // SAFETY: the processor has AVX2.
             return unsafe { $self.$avx2($($argument),*) };
         }
-        $self.$method::<Lane>($($argument),*)
+        $self.$method::<Fours>($($argument),*)
     }};
 }
 
 impl ShapeLanes {
     pub fn new(scene: &CompiledScene) -> ShapeLanes {
+        debug_assert!(scene.spheres.len() + scene.quads.len() < 1 << 24, "shapes are numbered in f32");
         let sphere_block = |s: &[Sphere]| SphereBlock {
             center: gather3(s, |s| s.center),
             radius: gather(s, f32::NAN, |s| s.radius),
@@ -447,18 +448,35 @@ mod tests {
             let (eye, target) = (described.camera.origin.as_vec3(), described.camera.target.as_vec3());
             let size = (target - eye).length();
             let mut hits = 0;
-            for i in 0..20_000 {
-                let u = sample4(Sampler::Independent, SampleKey { pixel: i, sample: 1, seed: 3 }, 0);
-                let v = sample4(Sampler::Independent, SampleKey { pixel: i, sample: 2, seed: 3 }, 0);
-                let origin = eye.lerp(target, u.z);
-                let direction = (Vec3::new(v.x, v.y, v.z) - 0.5).normalize();
-                let ray = Ray { origin, direction };
-                let hit = intersect(&scene, ray);
-                assert_eq!(lanes.intersect(ray), hit, "{name}, ray {i}");
-                hits += u32::from(hit.is_some());
-                let (t_max, excluded) = (u.w * size, (v.w * 20.0) as u32);
-                let expected = occluded(&scene, ray, t_max, excluded);
-                assert_eq!(lanes.occluded(ray, t_max, excluded), expected, "{name}, ray {i}");
+            for group in 0..2_500 {
+                let (mut rays, mut ends) = (RayLanes::new(), ShadowEnds::new());
+                let mut expected_hits = [None; LANES];
+                let mut expected_shadows = 0;
+                for lane in 0..LANES {
+                    let i = (group * LANES + lane) as u32;
+                    let u = sample4(Sampler::Independent, SampleKey { pixel: i, sample: 1, seed: 3 }, 0);
+                    let v = sample4(Sampler::Independent, SampleKey { pixel: i, sample: 2, seed: 3 }, 0);
+                    let origin = eye.lerp(target, u.z);
+                    let direction = (Vec3::new(v.x, v.y, v.z) - 0.5).normalize();
+                    let ray = Ray { origin, direction };
+                    let hit = intersect(&scene, ray);
+                    assert_eq!(lanes.intersect(ray), hit, "{name}, ray {i}");
+                    assert_eq!(lanes.nearest::<Fours>(ray), hit, "{name}, ray {i}");
+                    hits += u32::from(hit.is_some());
+                    let (t_max, excluded) = (u.w * size, (v.w * 20.0) as u32);
+                    let shaded = occluded(&scene, ray, t_max, excluded);
+                    assert_eq!(lanes.occluded(ray, t_max, excluded), shaded, "{name}, ray {i}");
+                    assert_eq!(lanes.any_nearer::<Fours>(ray, t_max, excluded), shaded, "{name}, ray {i}");
+                    rays.set(lane, ray);
+                    ends.set(lane, t_max, excluded);
+                    expected_hits[lane] = hit;
+                    expected_shadows |= u32::from(shaded) << lane;
+                }
+                assert_eq!(lanes.intersect_eight(&rays), expected_hits, "{name}, rays {group}");
+                assert_eq!(lanes.nearest_eight::<Fours>(&rays), expected_hits, "{name}, rays {group}");
+                assert_eq!(lanes.occluded_eight(&rays, &ends), expected_shadows, "{name}, rays {group}");
+                let by_fours = lanes.any_nearer_eight::<Fours>(&rays, &ends);
+                assert_eq!(by_fours, expected_shadows, "{name}, rays {group}");
             }
             assert!(hits > 2_000, "{name}: only {hits} rays hit anything");
         }

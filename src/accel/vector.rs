@@ -1,10 +1,12 @@
 //! Eight numbers at a time: what the blocks of [`super::lanes`] are written over. No operation is fused or approximate, so
 //! every implementation gives the same bits.
 
+use glam::{BVec4A, Vec4};
+
 /// How many numbers go together.
 pub const LANES: usize = 8;
 
-/// Eight numbers in memory; also the implementation for every processor.
+/// Eight numbers in memory.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(32))]
 pub struct Lane(pub [f32; LANES]);
@@ -46,30 +48,37 @@ pub trait LaneMask: Copy {
     fn bits(self) -> u32;
 }
 
-impl Lane {
+/// Twice four numbers, in glam's vectors: SSE2, NEON, or whatever it has for the processor.
+#[derive(Clone, Copy)]
+pub struct Fours([Vec4; 2]);
+
+impl Fours {
     #[inline(always)]
-    fn map(self, o: Lane, f: impl Fn(f32, f32) -> f32) -> Lane {
-        Lane(std::array::from_fn(|i| f(self.0[i], o.0[i])))
+    fn map(self, o: Fours, f: impl Fn(Vec4, Vec4) -> Vec4) -> Fours {
+        Fours([f(self.0[0], o.0[0]), f(self.0[1], o.0[1])])
     }
     #[inline(always)]
-    fn compare(self, o: Lane, f: impl Fn(f32, f32) -> bool) -> [bool; LANES] {
-        std::array::from_fn(|i| f(self.0[i], o.0[i]))
+    fn compare(self, o: Fours, f: impl Fn(Vec4, Vec4) -> BVec4A) -> [BVec4A; 2] {
+        [f(self.0[0], o.0[0]), f(self.0[1], o.0[1])]
     }
 }
 
-impl Lanes for Lane {
-    type Mask = [bool; LANES];
+impl Lanes for Fours {
+    type Mask = [BVec4A; 2];
     #[inline(always)]
     fn splat(v: f32) -> Self {
-        Lane([v; LANES])
+        Fours([Vec4::splat(v); 2])
     }
     #[inline(always)]
-    fn load(lane: &Lane) -> Self {
-        *lane
+    fn load(Lane([a, b, c, d, e, f, g, h]): &Lane) -> Self {
+        Fours([Vec4::new(*a, *b, *c, *d), Vec4::new(*e, *f, *g, *h)])
     }
     #[inline(always)]
     fn store(self) -> Lane {
-        self
+        let mut lane = [0.0; LANES];
+        self.0[0].write_to_slice(&mut lane[..4]);
+        self.0[1].write_to_slice(&mut lane[4..]);
+        Lane(lane)
     }
     #[inline(always)]
     fn add(self, o: Self) -> Self {
@@ -89,50 +98,51 @@ impl Lanes for Lane {
     }
     #[inline(always)]
     fn neg(self) -> Self {
-        Lane(self.0.map(|a| -a))
+        Fours(self.0.map(|a| -a))
     }
     #[inline(always)]
     fn sqrt(self) -> Self {
-        Lane(self.0.map(f32::sqrt))
+        Fours(self.0.map(Vec4::sqrt))
     }
+    // Not glam's own, which treat NaN by what the processor does.
     #[inline(always)]
     fn min(self, o: Self) -> Self {
-        self.map(o, |a, b| if a < b { a } else { b })
+        self.map(o, |a, b| Vec4::select(a.cmplt(b), a, b))
     }
     #[inline(always)]
     fn max(self, o: Self) -> Self {
-        self.map(o, |a, b| if a > b { a } else { b })
+        self.map(o, |a, b| Vec4::select(a.cmpgt(b), a, b))
     }
     #[inline(always)]
     fn lt(self, o: Self) -> Self::Mask {
-        self.compare(o, |a, b| a < b)
+        self.compare(o, Vec4::cmplt)
     }
     #[inline(always)]
     fn le(self, o: Self) -> Self::Mask {
-        self.compare(o, |a, b| a <= b)
+        self.compare(o, Vec4::cmple)
     }
     #[inline(always)]
     fn ne(self, o: Self) -> Self::Mask {
-        self.compare(o, |a, b| a != b)
+        self.compare(o, Vec4::cmpne)
     }
     #[inline(always)]
     fn select(mask: Self::Mask, yes: Self, no: Self) -> Self {
-        Lane(std::array::from_fn(|i| if mask[i] { yes.0[i] } else { no.0[i] }))
+        Fours([Vec4::select(mask[0], yes.0[0], no.0[0]), Vec4::select(mask[1], yes.0[1], no.0[1])])
     }
     #[inline(always)]
     fn least(self) -> f32 {
-        self.0.into_iter().fold(f32::INFINITY, f32::min)
+        self.0[0].min(self.0[1]).min_element()
     }
 }
 
-impl LaneMask for [bool; LANES] {
+impl LaneMask for [BVec4A; 2] {
     #[inline(always)]
     fn and(self, o: Self) -> Self {
-        std::array::from_fn(|i| self[i] & o[i])
+        [self[0] & o[0], self[1] & o[1]]
     }
     #[inline(always)]
     fn bits(self) -> u32 {
-        self.into_iter().enumerate().fold(0, |bits, (i, lane)| bits | u32::from(lane) << i)
+        self[0].bitmask() | self[1].bitmask() << 4
     }
 }
 

@@ -4,7 +4,7 @@ use super::cpu_levels::trace_all;
 use super::strategy::{Pass, Strategy};
 use super::{CancelToken, Engine, EngineKind, Estimators, RenderError, RenderStats};
 use crate::accel::ShapeLanes;
-use crate::film::Film;
+use crate::film::{Film, PixelSum};
 use crate::guiding::{GuideTable, LessonLayout, LessonSums, Lessons};
 use crate::scene::compiled::{CompiledScene, Uniforms};
 use crate::transport::guide::Guidance;
@@ -69,36 +69,37 @@ impl CpuEngine {
         };
         let rows = film.pixels_mut().par_chunks_mut(width).enumerate();
         let rays = rows.map(|(row, pixels)| {
+            let samples = uniforms.sample_count;
+            let group = (PATHS_AT_ONCE / samples.max(1)).max(1) as usize;
             let mut rays = 0;
-            let (mut paths, mut radiance) = (Vec::new(), Vec::new());
             if cancel.is_cancelled() {
                 return rays;
             }
-            let samples = uniforms.sample_count;
-            let group = (PATHS_AT_ONCE / samples.max(1)).max(1) as usize;
-            for (number, group_pixels) in pixels.chunks_mut(group).enumerate() {
+            for (number, pixels) in pixels.chunks_mut(group).enumerate() {
                 let first = (row * width + number * group) as u32;
-                let mut begin = 0;
-                while begin < samples {
+                for begin in (0..samples).step_by(PATHS_AT_ONCE as usize) {
                     let end = samples.min(begin.saturating_add(PATHS_AT_ONCE));
-                    paths.clear();
-                    for pixel in 0..group_pixels.len() as u32 {
-                        paths.extend((begin..end).map(|s| s * uniforms.pixel_count + first + pixel));
-                    }
-                    radiance.clear();
-                    radiance.resize(paths.len(), Vec3::ZERO);
-                    rays += trace_all(&transport, &paths, &mut radiance);
-                    let of_pixels = radiance.chunks((end - begin) as usize);
-                    for (pixel, samples) in group_pixels.iter_mut().zip(of_pixels) {
-                        samples.iter().for_each(|&radiance| pixel.add(radiance));
-                    }
-                    begin = end;
+                    rays += trace_group(&transport, pixels, first, begin..end);
                 }
             }
             rays
         });
         rays.sum()
     }
+}
+
+/// Some samples of neighbouring pixels, the first of which is number `first`, added to their sums in the order of the
+/// samples. How many rays that took.
+fn trace_group(transport: &Transport, pixels: &mut [PixelSum], first: u32, samples: Range<u32>) -> u64 {
+    let of_pixel =
+        |pixel| samples.clone().map(move |sample| sample * transport.uniforms.pixel_count + first + pixel);
+    let paths: Vec<u32> = (0..pixels.len() as u32).flat_map(of_pixel).collect();
+    let mut radiance = vec![Vec3::ZERO; paths.len()];
+    let rays = trace_all(transport, &paths, &mut radiance);
+    for (pixel, samples) in pixels.iter_mut().zip(radiance.chunks(samples.len())) {
+        samples.iter().for_each(|&sample| pixel.add(sample));
+    }
+    rays
 }
 
 impl Engine for CpuEngine {

@@ -129,3 +129,46 @@ fn levels(transport: &Transport, paths: &[u32], radiance: &mut [Vec3]) -> u64 {
 fn ray_of(item: &RayItem) -> Ray {
     Ray { origin: item.origin, direction: item.direction }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::accel::ShapeLanes;
+    use crate::random::Sampler;
+    use crate::scene::Scene;
+    use crate::scene::compiled::CompiledScene;
+    use crate::transport::roulette::Roulette;
+
+    #[test]
+    fn many_paths_at_a_time_bring_what_each_brings_alone_bit_for_bit() {
+        for name in ["cornell-box", "bansal-room-1", "glossy-box", "furnace-open-half"] {
+            let described = Scene::load(format!("scenes/{name}.toml")).unwrap();
+            let scene = CompiledScene::new(&described);
+            let lanes = ShapeLanes::new(&scene);
+            let mut uniforms = scene.uniforms(&described.camera, 16, 12, 9);
+            (uniforms.max_bounces, uniforms.pixel_count, uniforms.sample_count) = (64, 16 * 12, 3);
+            uniforms.roulette_scale = 1.0;
+            for (direct_light, roulette) in [(true, Roulette::Off), (false, Roulette::Throughput)] {
+                let transport = Transport {
+                    sampler: Sampler::Stratified,
+                    direct_light: direct_light && !scene.lights.is_empty(),
+                    roulette,
+                    ..Transport::plain(&scene, &lanes, &uniforms)
+                };
+                // In an order of their own, and not a multiple of what fits.
+                let paths: Vec<u32> = (0..555).map(|i| i * 7 % 555).collect();
+                let alone: Vec<_> = paths.iter().map(|&path| transport.trace(path)).collect();
+                let alone_rays: u64 = alone.iter().map(|(_, rays)| u64::from(*rays)).sum();
+                for trace in [trace_all, trace_levels] {
+                    let mut radiance = vec![Vec3::ZERO; paths.len()];
+                    assert_eq!(trace(&transport, &paths, &mut radiance), alone_rays, "{name}");
+                    for (i, (together, (alone, _))) in radiance.iter().zip(&alone).enumerate() {
+                        let (together, alone) = (together.to_array(), alone.to_array());
+                        assert_eq!(together.map(f32::to_bits), alone.map(f32::to_bits), "{name}, path {i}");
+                    }
+                    assert!(radiance.iter().any(|r| r.max_element() > 0.0));
+                }
+            }
+        }
+    }
+}
