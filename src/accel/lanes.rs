@@ -35,7 +35,7 @@ pub struct ShapeLanes {
 }
 
 /// Eight rays. A ray that was never set meets what it likes.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct RayLanes {
     origin: [Lane; 3],
     direction: [Lane; 3],
@@ -44,10 +44,6 @@ pub struct RayLanes {
 impl RayLanes {
     /// How many rays go together.
     pub const COUNT: usize = LANES;
-
-    pub const fn new() -> RayLanes {
-        RayLanes { origin: [Lane([0.0; LANES]); 3], direction: [Lane([0.0; LANES]); 3] }
-    }
 
     #[inline(always)]
     pub fn set(&mut self, i: usize, ray: Ray) {
@@ -59,17 +55,13 @@ impl RayLanes {
 }
 
 /// What bounds eight shadow rays.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct ShadowEnds {
     t_max: Lane,
     excluded: Lane,
 }
 
 impl ShadowEnds {
-    pub const fn new() -> ShadowEnds {
-        ShadowEnds { t_max: Lane([0.0; LANES]), excluded: Lane([0.0; LANES]) }
-    }
-
     #[inline(always)]
     pub fn set(&mut self, i: usize, t_max: f32, excluded: u32) {
         (self.t_max.0[i], self.excluded.0[i]) = (t_max, excluded as f32);
@@ -449,10 +441,10 @@ mod tests {
             let size = (target - eye).length();
             let mut hits = 0;
             for group in 0..2_500 {
-                let (mut rays, mut ends) = (RayLanes::new(), ShadowEnds::new());
+                let (mut rays, mut ends) = (RayLanes::default(), ShadowEnds::default());
                 let mut expected_hits = [None; LANES];
                 let mut expected_shadows = 0;
-                for lane in 0..LANES {
+                for (lane, expected_hit) in expected_hits.iter_mut().enumerate() {
                     let i = (group * LANES + lane) as u32;
                     let u = sample4(Sampler::Independent, SampleKey { pixel: i, sample: 1, seed: 3 }, 0);
                     let v = sample4(Sampler::Independent, SampleKey { pixel: i, sample: 2, seed: 3 }, 0);
@@ -469,7 +461,7 @@ mod tests {
                     assert_eq!(lanes.any_nearer::<Fours>(ray, t_max, excluded), shaded, "{name}, ray {i}");
                     rays.set(lane, ray);
                     ends.set(lane, t_max, excluded);
-                    expected_hits[lane] = hit;
+                    *expected_hit = hit;
                     expected_shadows |= u32::from(shaded) << lane;
                 }
                 assert_eq!(lanes.intersect_eight(&rays), expected_hits, "{name}, rays {group}");

@@ -7,7 +7,7 @@ use glam::{BVec4A, Vec4};
 pub const LANES: usize = 8;
 
 /// Eight numbers in memory.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 #[repr(C, align(32))]
 pub struct Lane(pub [f32; LANES]);
 

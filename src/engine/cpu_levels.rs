@@ -62,9 +62,9 @@ fn trace_levels(transport: &Transport, paths: &[u32], radiance: &mut [Vec3]) -> 
 #[inline(always)]
 fn levels(transport: &Transport, paths: &[u32], radiance: &mut [Vec3]) -> u64 {
     let mut flights = [Flight::default(); POOL];
-    let mut lanes = [RayLanes::new(); POOL / TOGETHER];
+    let mut lanes = [RayLanes::default(); POOL / TOGETHER];
     let mut shadows = [Waiting::default(); POOL];
-    let mut shadow_lanes = [(RayLanes::new(), ShadowEnds::new()); POOL / TOGETHER];
+    let mut shadow_lanes = [<(RayLanes, ShadowEnds)>::default(); POOL / TOGETHER];
     let mut hits = [[None::<Hit>; TOGETHER]; POOL / TOGETHER];
     let (mut live, mut rays) = (0, 0);
     let mut fresh = paths.iter().enumerate();
