@@ -3,6 +3,7 @@
 use glam::Vec3;
 
 /// Two tangents that complete `normal` to a right-handed orthonormal basis (Duff et al. 2017).
+#[inline(always)]
 pub fn frame_around(normal: Vec3) -> (Vec3, Vec3) {
     let s = if normal.z >= 0.0 { 1.0 } else { -1.0 };
     let a = -1.0 / (s + normal.z);
@@ -14,29 +15,34 @@ pub fn frame_around(normal: Vec3) -> (Vec3, Vec3) {
 }
 
 /// `local`, given in the frame whose third axis is `normal`, in world coordinates.
+#[inline(always)]
 pub fn to_world(local: Vec3, normal: Vec3) -> Vec3 {
     let (tangent, bitangent) = frame_around(normal);
     tangent * local.x + bitangent * local.y + normal * local.z
 }
 
 /// Mirror image of the direction `d` in the plane with unit normal `n`.
+#[inline]
 pub fn mirrored(d: Vec3, n: Vec3) -> Vec3 {
     d - n * (2.0 * d.dot(n))
 }
 
 /// 1 − cos of the angle between unit vectors, without the cancellation: half the square of their distance.
+#[inline]
 pub fn one_minus_cos(a: Vec3, b: Vec3) -> f32 {
     let d = a - b;
     0.5 * d.dot(d)
 }
 
 /// Luminance of linear sRGB (Rec. 709 primaries).
+#[inline]
 pub fn luminance(rgb: Vec3) -> f32 {
     rgb.dot(Vec3::new(0.2126, 0.7152, 0.0722))
 }
 
 /// Weight of the strategy with density `pdf` against one with density `other` (power heuristic, Veach 1997).
 /// As a ratio, so that neither square can overflow. `pdf` must be positive.
+#[inline]
 pub fn mis_weight(pdf: f32, other: f32) -> f32 {
     let ratio = other / pdf;
     1.0 / (1.0 + ratio * ratio)

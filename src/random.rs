@@ -18,15 +18,18 @@ pub enum Sampler {
 /// What numbers an event may draw. Camera: film position. Per bounce one block for the BSDF (u, v, lobe, roulette)
 /// and one for the light (choice, u, v).
 pub const DIMENSION_CAMERA: u32 = 0;
+#[inline]
 pub fn dimension_bsdf(bounce: u32) -> u32 {
     1 + 2 * bounce
 }
+#[inline]
 pub fn dimension_light(bounce: u32) -> u32 {
     2 + 2 * bounce
 }
 
 /// Numbers for guided directions: choice of the strategy, two for the direction, choice of the octant; further draws where
 /// one is not taken. Beyond the dimensions of 64 levels.
+#[inline]
 pub fn dimension_guide(bounce: u32, draw: u32) -> u32 {
     1024 + 16 * bounce + draw
 }
@@ -40,6 +43,7 @@ pub struct SampleKey {
 }
 
 /// PCG4D, Jarzynski & Olano 2020, "Hash Functions for GPU Rendering".
+#[inline(always)]
 pub fn pcg4d(key: [u32; 4]) -> [u32; 4] {
     let [mut x, mut y, mut z, mut w] = key.map(|k| k.wrapping_mul(1664525).wrapping_add(1013904223));
     for round in 0..2 {
@@ -55,12 +59,14 @@ pub fn pcg4d(key: [u32; 4]) -> [u32; 4] {
 }
 
 /// The upper 24 bits as a multiple of 2⁻²⁴, so that the result is exact and below 1.
+#[inline]
 fn unit_float(bits: [u32; 4]) -> Vec4 {
     Vec4::from_array(bits.map(|b| (b >> 8) as f32 * (1.0 / 16_777_216.0)))
 }
 
 /// Nested uniform scramble (Laine & Karras 2011, constants by Vegdahl) of an index: it permutes every aligned
 /// block of 2ᵏ indices into another such block, which keeps a low-discrepancy sequence one.
+#[inline(always)]
 fn shuffle_index(index: u32, seed: u32) -> u32 {
     let mut x = index.reverse_bits();
     x ^= x.wrapping_mul(0x3d20adea);
@@ -78,6 +84,7 @@ const R2: [u32; 2] = [3242174889, 2447445414];
 ///
 /// Stratified: two planar R2 sequences over the samples of the pixel, each started at a random point and walked in its
 /// own shuffled order, so that dimensions stay independent.
+#[inline(always)]
 pub fn sample4(sampler: Sampler, key: SampleKey, dimension: u32) -> Vec4 {
     match sampler {
         Sampler::Independent => unit_float(pcg4d([key.pixel, key.sample, dimension, key.seed])),

@@ -1,5 +1,6 @@
 //! What finds the nearest shape on the CPU faster than asking one after the other.
 
 mod lanes;
+mod vector;
 
-pub use lanes::ShapeLanes;
+pub use lanes::{RayLanes, ShadowEnds, ShapeLanes};

@@ -8,6 +8,7 @@ use glam::Vec3;
 
 /// Reflected share at a smooth interface; `eta` = ior beyond the surface / ior on the incident side.
 /// `cos_t` is the cosine of the refracted angle, 0 at total internal reflection.
+#[inline]
 pub fn fresnel(cos_i: f32, cos_t: f32, eta: f32) -> f32 {
     let parallel = (eta * cos_i - cos_t) / (eta * cos_i + cos_t);
     let perpendicular = (cos_i - eta * cos_t) / (cos_i + eta * cos_t);
@@ -15,6 +16,7 @@ pub fn fresnel(cos_i: f32, cos_t: f32, eta: f32) -> f32 {
 }
 
 /// `normal` is on the viewer's side; `outside` says whether that is the outer side.
+#[inline]
 pub fn sample(material: &Material, normal: Vec3, wo: Vec3, outside: bool, u: f32) -> BsdfSample {
     let eta = if outside { material.parameter } else { 1.0 / material.parameter };
     let cos_i = wo.dot(normal);

@@ -8,6 +8,7 @@ use crate::sampling::{pdf_phong, sample_phong};
 use crate::scene::compiled::Material;
 use glam::{Vec2, Vec3};
 
+#[inline]
 pub fn evaluate(material: &Material, normal: Vec3, wo: Vec3, wi: Vec3) -> BsdfValue {
     if normal.dot(wi) <= 0.0 {
         return BsdfValue::default();
@@ -18,6 +19,7 @@ pub fn evaluate(material: &Material, normal: Vec3, wo: Vec3, wi: Vec3) -> BsdfVa
     BsdfValue { value: material.color * pdf, pdf }
 }
 
+#[inline]
 pub fn sample(material: &Material, normal: Vec3, wo: Vec3, u: Vec2) -> BsdfSample {
     let axis = mirrored(-wo, normal);
     let lobe = to_world(sample_phong(u, material.parameter), axis);

@@ -8,11 +8,13 @@ use crate::scene::compiled::Material;
 use glam::{Vec3, Vec3Swizzles};
 
 /// The diffuse part; the mirror is a delta lobe, which no direction chosen elsewhere can meet.
+#[inline]
 pub fn evaluate(material: &Material, normal: Vec3, wi: Vec3) -> BsdfValue {
     let pdf = (1.0 - material.parameter) * pdf_cosine(normal.dot(wi));
     BsdfValue { value: material.color * pdf, pdf }
 }
 
+#[inline]
 pub fn sample(material: &Material, normal: Vec3, wo: Vec3, u: Vec3) -> BsdfSample {
     if u.z < material.parameter {
         return BsdfSample { wi: mirrored(-wo, normal), weight: material.color, pdf: 0.0 };

@@ -31,6 +31,7 @@ pub struct BsdfValue {
 }
 
 /// Chooses `wi`. `u` holds three numbers in [0, 1): two for the direction, one for the lobe.
+#[inline(always)]
 pub fn bsdf_sample(material: &Material, normal: Vec3, wo: Vec3, outside: bool, u: Vec3) -> BsdfSample {
     match material.kind {
         KIND_DIFFUSE => diffuse::sample(material, normal, u.xy()),
@@ -42,6 +43,7 @@ pub fn bsdf_sample(material: &Material, normal: Vec3, wo: Vec3, outside: bool, u
 }
 
 /// How much of the material is a Lambertian lobe: the only part that learns and is guided.
+#[inline]
 pub fn lambert_share(material: &Material) -> f32 {
     match material.kind {
         KIND_DIFFUSE => 1.0,
@@ -51,6 +53,7 @@ pub fn lambert_share(material: &Material) -> f32 {
 }
 
 /// Evaluates `wi`. Delta lobes contribute nothing here: no direction chosen elsewhere meets them.
+#[inline(always)]
 pub fn bsdf_evaluate(material: &Material, normal: Vec3, wo: Vec3, wi: Vec3) -> BsdfValue {
     match material.kind {
         KIND_DIFFUSE => diffuse::evaluate(material, normal, wi),

@@ -1,13 +1,15 @@
 //! The CPU engine: the transport functions over rayon. Also what renders where there is no GPU.
 
+use super::cpu_levels::trace_all;
 use super::strategy::{Pass, Strategy};
 use super::{CancelToken, Engine, EngineKind, Estimators, RenderError, RenderStats};
 use crate::accel::ShapeLanes;
-use crate::film::Film;
+use crate::film::{Film, PixelSum};
 use crate::guiding::{GuideTable, LessonLayout, LessonSums, Lessons};
 use crate::scene::compiled::{CompiledScene, Uniforms};
 use crate::transport::guide::Guidance;
 use crate::transport::path::Transport;
+use glam::Vec3;
 use rayon::prelude::*;
 use std::ops::Range;
 use std::time::Instant;
@@ -24,6 +26,8 @@ pub struct CpuEngine {
 
 /// How long a step should take, in seconds.
 const STEP_SECONDS: f64 = 0.25;
+/// How many paths a thread traces before it adds them to the film.
+const PATHS_AT_ONCE: u32 = 4096;
 
 impl CpuEngine {
     pub fn new(scene: CompiledScene, uniforms: Uniforms, estimators: Estimators) -> Self {
@@ -65,22 +69,37 @@ impl CpuEngine {
         };
         let rows = film.pixels_mut().par_chunks_mut(width).enumerate();
         let rays = rows.map(|(row, pixels)| {
+            let samples = uniforms.sample_count;
+            let group = (PATHS_AT_ONCE / samples.max(1)).max(1) as usize;
             let mut rays = 0;
             if cancel.is_cancelled() {
                 return rays;
             }
-            for (column, pixel) in pixels.iter_mut().enumerate() {
-                for sample in 0..uniforms.sample_count {
-                    let index = (row * width + column) as u32;
-                    let (radiance, traced) = transport.trace(sample * uniforms.pixel_count + index);
-                    pixel.add(radiance);
-                    rays += u64::from(traced);
+            for (number, pixels) in pixels.chunks_mut(group).enumerate() {
+                let first = (row * width + number * group) as u32;
+                for begin in (0..samples).step_by(PATHS_AT_ONCE as usize) {
+                    let end = samples.min(begin.saturating_add(PATHS_AT_ONCE));
+                    rays += trace_group(&transport, pixels, first, begin..end);
                 }
             }
             rays
         });
         rays.sum()
     }
+}
+
+/// Some samples of neighbouring pixels, the first of which is number `first`, added to their sums in the order of the
+/// samples. How many rays that took.
+fn trace_group(transport: &Transport, pixels: &mut [PixelSum], first: u32, samples: Range<u32>) -> u64 {
+    let of_pixel =
+        |pixel| samples.clone().map(move |sample| sample * transport.uniforms.pixel_count + first + pixel);
+    let paths: Vec<u32> = (0..pixels.len() as u32).flat_map(of_pixel).collect();
+    let mut radiance = vec![Vec3::ZERO; paths.len()];
+    let rays = trace_all(transport, &paths, &mut radiance);
+    for (pixel, samples) in pixels.iter_mut().zip(radiance.chunks(samples.len())) {
+        samples.iter().for_each(|&sample| pixel.add(sample));
+    }
+    rays
 }
 
 impl Engine for CpuEngine {

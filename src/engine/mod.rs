@@ -3,6 +3,7 @@
 mod auto;
 mod batch;
 mod cpu;
+mod cpu_levels;
 mod error;
 mod features;
 mod gpu_film;

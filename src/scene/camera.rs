@@ -5,6 +5,7 @@ use super::shapes::Ray;
 use glam::{UVec2, Vec2};
 
 /// The ray through film position `pixel` + `jitter`, both in pixels, row 0 at the top.
+#[inline]
 pub fn camera_ray(uniforms: &Uniforms, pixel: [u32; 2], jitter: Vec2) -> Ray {
     let size = UVec2::new(uniforms.width, uniforms.height).as_vec2();
     let film = (UVec2::from(pixel).as_vec2() + jitter) / size;

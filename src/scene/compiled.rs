@@ -176,6 +176,7 @@ impl CompiledScene {
     }
 
     /// Index among the quads of a shape number, None if it is a sphere.
+    #[inline]
     pub fn quad_index(&self, shape: u32) -> Option<usize> {
         (shape as usize).checked_sub(self.spheres.len())
     }

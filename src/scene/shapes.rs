@@ -96,6 +96,7 @@ pub fn occluded(scene: &CompiledScene, ray: Ray, t_max: f32, excluded: u32) -> b
         || scene.quads.iter().enumerate().any(|(i, q)| blocks(first_quad + i, intersect_quad(&ray, q)))
 }
 
+#[inline(always)]
 pub fn shape_info(scene: &CompiledScene, shape: u32) -> ShapeInfo {
     match scene.quad_index(shape) {
         None => {
@@ -110,6 +111,7 @@ pub fn shape_info(scene: &CompiledScene, shape: u32) -> ShapeInfo {
 }
 
 /// The surface where the ray hits: the point is put back onto the shape, so that its error does not grow with t.
+#[inline(always)]
 pub fn surface_at(scene: &CompiledScene, ray: Ray, hit: Hit) -> Surface {
     let p = ray.origin + ray.direction * hit.t;
     match scene.quad_index(hit.shape) {
@@ -132,6 +134,7 @@ pub fn surface_at(scene: &CompiledScene, ray: Ray, hit: Hit) -> Surface {
 }
 
 /// A ray that leaves the surface into `direction`, started on that side of it.
+#[inline(always)]
 pub fn spawn_ray(surface: &Surface, direction: Vec3) -> Ray {
     let outer = direction.dot(surface.normal) >= 0.0;
     let side = if outer { surface.offset } else { -surface.offset };

@@ -38,6 +38,7 @@ pub struct GuidePoint {
 }
 
 impl GuidePoint {
+    #[inline]
     fn mixture_pdf(&self, cosine: f32, guided: f32) -> f32 {
         self.share * ((1.0 - self.mixture) * cosine + self.mixture * guided)
     }
@@ -45,6 +46,7 @@ impl GuidePoint {
 
 impl Transport<'_> {
     /// What the guide knows here; None where it has no part: guiding is off, or the material has no Lambertian lobe.
+    #[inline(always)]
     pub fn guide_point(&self, surface: &Surface, normal: Vec3, material: &Material) -> Option<GuidePoint> {
         let guidance = self.guidance?;
         let share = lambert_share(material);
@@ -68,6 +70,7 @@ impl Transport<'_> {
     }
 
     /// The guide's own density of `wi`, and the slot that learns about it.
+    #[inline]
     fn guide_density(
         &self,
         guidance: &Guidance,
@@ -82,6 +85,7 @@ impl Transport<'_> {
     }
 
     /// Density with which [`Transport::guided_direction`] chooses `wi`, the material's delta part counted off.
+    #[inline]
     pub fn guided_pdf(&self, point: &GuidePoint, normal: Vec3, wi: Vec3) -> f32 {
         let Some(guidance) = self.guidance else { return 0.0 };
         if guidance.mode == GuideMode::BansalReweighted {
@@ -95,6 +99,7 @@ impl Transport<'_> {
     }
 
     /// The same, with the slot that learns what arrives from `wi`.
+    #[inline]
     pub fn guided_density(&self, point: &GuidePoint, normal: Vec3, wi: Vec3) -> GuidedDensity {
         match self.guidance {
             Some(guidance) if point.place.cell != NO_CELL => {
@@ -110,6 +115,7 @@ impl Transport<'_> {
     }
 
     /// A direction for the Lambertian lobe: the guide's or the material's. Its density is [`Transport::guided_pdf`].
+    #[inline]
     pub fn guided_direction(&self, point: &GuidePoint, normal: Vec3, u: Vec2, draws: &Draws) -> Vec3 {
         let Some(guidance) = self.guidance else { return normal };
         if guidance.mode.is_bansal() {
@@ -129,6 +135,7 @@ impl Transport<'_> {
     /// Counts the visit of a path that leaves at an angle of that cosine with that density, and gives the weight that
     /// radiance from there has. Adaptive cells learn irradiance: a visit counts 1, by eighths of the cell, which says
     /// where to cut it. Octants learn mean radiance, weighted by the cosine: a visit counts its weight.
+    #[inline]
     pub fn visit(
         &self,
         point: &GuidePoint,
@@ -156,6 +163,7 @@ impl Transport<'_> {
 
     /// What the surface is worth to the one before, beyond what it emits and what direct light brings: its albedo times
     /// the mean radiance that it has learnt; for Bansal a share of its best Q.
+    #[inline]
     pub fn learnt_radiance(&self, point: &GuidePoint, material: &Material) -> f32 {
         match self.guidance {
             Some(guidance) if guidance.mode.is_bansal() => {
@@ -167,6 +175,7 @@ impl Transport<'_> {
 }
 
 /// Bansal's rule.
+#[inline]
 fn redrawn_direction(point: &GuidePoint, threshold: f32, normal: Vec3, u: Vec2, draws: &Draws) -> Vec3 {
     let mut wi = to_world(sample_cosine(u), normal);
     for draw in 1..bansal::DRAWS {

@@ -19,6 +19,7 @@ pub struct LightSample {
 
 /// Walker's alias method: O(1), exact up to the rounding of the thresholds and of `u`, which has steps of 2⁻²⁴: among n
 /// lights, one chosen less often than n · 2⁻²⁴ can be off by tens of per cent.
+#[inline(always)]
 pub fn choose_light(scene: &CompiledScene, u: f32) -> u32 {
     let count = scene.lights.len() as u32;
     let scaled = u * count as f32;
@@ -28,12 +29,14 @@ pub fn choose_light(scene: &CompiledScene, u: f32) -> u32 {
 }
 
 /// The cone that a sphere subtends, as 1 − cosθmax = sin²θmax / (1 + cosθmax), which small cones keep exact.
+#[inline]
 fn sphere_cone(distance2: f32, radius: f32) -> f32 {
     let sin2 = radius * radius / distance2;
     sin2 / (1.0 + (1.0 - sin2).max(0.0).sqrt())
 }
 
 /// Uniform over the cone from outside; uniform over all directions from inside a sphere that shines inwards.
+#[inline(always)]
 fn sample_sphere_light(scene: &CompiledScene, origin: Vec3, i: usize, u: Vec2) -> LightSample {
     let sphere = &scene.spheres[i];
     let to_center = sphere.center - origin;
@@ -61,6 +64,7 @@ fn sample_sphere_light(scene: &CompiledScene, origin: Vec3, i: usize, u: Vec2) -
 }
 
 /// Uniform over the area.
+#[inline(always)]
 fn sample_quad_light(scene: &CompiledScene, origin: Vec3, i: usize, u: Vec2) -> LightSample {
     let quad = &scene.quads[i];
     let to_light = quad.corner + quad.e1 * u.x + quad.e2 * u.y - origin;
@@ -75,6 +79,7 @@ fn sample_quad_light(scene: &CompiledScene, origin: Vec3, i: usize, u: Vec2) -> 
 }
 
 /// A direction from `origin` to the light `shape`. `u` in [0, 1)².
+#[inline(always)]
 pub fn sample_light(scene: &CompiledScene, origin: Vec3, shape: u32, u: Vec2) -> LightSample {
     match scene.quad_index(shape) {
         None => sample_sphere_light(scene, origin, shape as usize, u),
@@ -83,6 +88,7 @@ pub fn sample_light(scene: &CompiledScene, origin: Vec3, shape: u32, u: Vec2) ->
 }
 
 /// Density with which [`sample_light`] from `origin` would have chosen the direction `wi` that met `shape` at distance t.
+#[inline(always)]
 pub fn pdf_light(scene: &CompiledScene, origin: Vec3, shape: u32, wi: Vec3, t: f32) -> f32 {
     match scene.quad_index(shape) {
         None => {

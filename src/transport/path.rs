@@ -71,6 +71,7 @@ impl<'a> Transport<'a> {
 
 impl Transport<'_> {
     /// Paths of a batch are numbered sample by sample, pixel by pixel.
+    #[inline(always)]
     pub fn sample_key(&self, path: u32) -> SampleKey {
         let sample = path / self.uniforms.pixel_count;
         let pixel = path - sample * self.uniforms.pixel_count;
@@ -82,6 +83,7 @@ impl Transport<'_> {
     }
 
     /// The camera ray with which `path` starts.
+    #[inline(always)]
     pub fn generate(&self, path: u32) -> RayItem {
         let key = self.sample_key(path);
         let u = sample4(self.sampler, key, DIMENSION_CAMERA);
@@ -99,11 +101,13 @@ impl Transport<'_> {
     }
 
     /// Light of the environment that a ray meets which left the scene.
+    #[inline]
     pub fn environment(&self, ray: &RayItem) -> Vec3 {
         ray.throughput * self.uniforms.environment
     }
 
     /// What such a ray teaches the slot of its trail.
+    #[inline]
     pub fn environment_value(&self, trail: &Trail) -> f32 {
         luminance(self.uniforms.environment) * trail.weight
     }
@@ -111,6 +115,7 @@ impl Transport<'_> {
     /// Radiance that the surface itself sends back along the ray. Direct-light sampling could have found it too, unless
     /// the ray came from the camera or a delta lobe (pdf = 0), so it shares the contribution by multiple importance
     /// sampling.
+    #[inline(always)]
     fn emission(&self, ray: &RayItem, hit: Hit, surface: &Surface, material: &Material) -> Vec3 {
         if ray.direction.dot(surface.normal) >= 0.0 || material.emission.max_element() <= 0.0 {
             return Vec3::ZERO;
@@ -129,6 +134,7 @@ impl Transport<'_> {
 
     /// Next-event estimation: one light, one direction, to be tested for occlusion. None where nothing can arrive. Its
     /// radiance is what arrives at this surface's viewer, throughput not included.
+    #[inline(always)]
     fn direct_light(
         &self,
         ray: &RayItem,
@@ -166,6 +172,7 @@ impl Transport<'_> {
     ///
     /// The sample's density is the material's own, which is what weights emission against direct light: any density does
     /// that without bias if both sides use the same, and this one costs no look-up for the directions of lights.
+    #[inline(always)]
     fn scatter(
         &self,
         ray: &RayItem,
@@ -188,6 +195,7 @@ impl Transport<'_> {
     }
 
     /// Everything that happens where a ray meets a surface.
+    #[inline(always)]
     pub fn shade(&self, ray: &RayItem, trail: &Trail, hit: Hit) -> ShadeOutcome {
         let surface = surface_at(self.scene, Ray { origin: ray.origin, direction: ray.direction }, hit);
         let material = &self.scene.materials[shape_info(self.scene, hit.shape).material as usize];

@@ -40,6 +40,7 @@ pub const LEAST_SURVIVAL: f32 = 0.05;
 impl Transport<'_> {
     /// Chance with which the path goes on; a survivor carries the weight of those that did not. `throughput` includes
     /// this surface.
+    #[inline(always)]
     pub(super) fn roulette_survival(
         &self,
         ray: &RayItem,
@@ -58,6 +59,7 @@ impl Transport<'_> {
     }
 
     /// min(1, largest component). Never at glass, where the solid-angle factor comes and goes.
+    #[inline]
     fn throughput_survival(&self, throughput: Vec3, bounce: u32, kind: u32) -> f32 {
         if bounce < ROULETTE_FROM_BOUNCE || kind == KIND_DIELECTRIC {
             return 1.0;
@@ -66,6 +68,7 @@ impl Transport<'_> {
     }
 
     /// What going on is expected to bring over the estimate of the pixel, None where either is unknown.
+    #[inline]
     fn learnt_survival(
         &self,
         ray: &RayItem,

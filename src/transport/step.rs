@@ -17,6 +17,7 @@ pub struct StepOutcome {
 }
 
 impl Transport<'_> {
+    #[inline]
     pub fn step(&self, ray: &RayItem, trail: &Trail) -> StepOutcome {
         let hit = self.lanes.intersect(Ray { origin: ray.origin, direction: ray.direction });
         let Some(hit) = hit else {
@@ -50,7 +51,8 @@ impl Transport<'_> {
     }
 
     /// Adds a transition to the pass's sums.
-    fn learn(&self, transition: &Transition) {
+    #[inline(always)]
+    pub fn learn(&self, transition: &Transition) {
         if let Some(guidance) = self.guidance
             && guidance.table.uniforms.learning != 0
         {
@@ -59,6 +61,7 @@ impl Transport<'_> {
     }
 
     /// The radiance that a whole path brings to the camera, and how many rays it took, shadow rays not counted.
+    #[inline]
     pub fn trace(&self, path: u32) -> (Vec3, u32) {
         let mut rays = 0;
         let mut radiance = Vec3::ZERO;
