@@ -59,45 +59,40 @@ pub struct Leaf {
     pub density: f32,
 }
 
-/// Descends from node `root` (None: the octant is one leaf) to the leaf at `p`.
-pub fn find_leaf(nodes: impl Fn(u32) -> Node, root: Option<u32>, p: Vec2) -> Leaf {
+/// The leaf that a descent ends in, and the point of the octant that it stands for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Descent {
+    pub leaf: Leaf,
+    pub point: Vec2,
+}
+
+/// Descends from node `root` (None: the octant is one leaf). Where `warped`, `at` is random numbers in [0, 1)², and the point
+/// has the density of its leaf; else `at` is the point itself.
+pub fn descend(nodes: impl Fn(u32) -> Node, root: Option<u32>, at: Vec2, warped: bool) -> Descent {
     let mut leaf = Leaf { quarter: None, density: 1.0 };
-    let (mut p, mut next) = (p, root);
-    for _ in 0..MAX_DEPTH {
-        let Some(index) = next else { break };
-        let node = nodes(index);
-        p *= 2.0;
-        let high = [p.x >= 1.0, p.y >= 1.0];
-        p -= Vec2::new(high[0] as u32 as f32, high[1] as u32 as f32);
-        let low_z = if high[0] { node.low_z[1] } else { node.low_z[0] };
-        let phi = if high[0] { 1.0 - node.low_phi } else { node.low_phi };
-        let z = if high[1] { 1.0 - low_z } else { low_z };
-        let quarter = u32::from(high[0]) + 2 * u32::from(high[1]);
-        leaf = Leaf { quarter: Some(4 * index + quarter), density: leaf.density * 4.0 * phi * z };
-        next = node.child(quarter);
-    }
-    leaf
-}
-
-/// Splits [0, 1) at `p`: the part in which `u` lies, and where `u` lies in it. A part of probability 0 is never chosen.
-fn choose(u: f32, p: f32) -> (bool, f32) {
-    if u < p { (false, u / p) } else { (true, ((u - p) / (1.0 - p)).min(BELOW_ONE)) }
-}
-const BELOW_ONE: f32 = 1.0 - f32::EPSILON / 2.0;
-
-/// A point with the density that [`find_leaf`] tells, by warping `u` in [0, 1)².
-pub fn sample_leaf(nodes: impl Fn(u32) -> Node, root: Option<u32>, u: Vec2) -> Vec2 {
-    let (mut u, mut next) = (u, root);
+    let (mut rest, mut next) = (at, root);
     let (mut corner, mut size) = (Vec2::ZERO, 1.0);
     for _ in 0..MAX_DEPTH {
         let Some(index) = next else { break };
         let node = nodes(index);
-        let (high_phi, x) = choose(u.x, node.low_phi);
-        let (high_z, y) = choose(u.y, if high_phi { node.low_z[1] } else { node.low_z[0] });
-        u = Vec2::new(x.min(BELOW_ONE), y.min(BELOW_ONE));
+        let (high_phi, x) = choose(rest.x, if warped { node.low_phi } else { 0.5 });
+        let low_z = if high_phi { node.low_z[1] } else { node.low_z[0] };
+        let (high_z, y) = choose(rest.y, if warped { low_z } else { 0.5 });
+        rest = Vec2::new(x, y);
         size *= 0.5;
         corner += Vec2::new(high_phi as u32 as f32, high_z as u32 as f32) * size;
-        next = node.child(u32::from(high_phi) + 2 * u32::from(high_z));
+        let quarter = u32::from(high_phi) + 2 * u32::from(high_z);
+        let phi = if high_phi { 1.0 - node.low_phi } else { node.low_phi };
+        let z = if high_z { 1.0 - low_z } else { low_z };
+        leaf = Leaf { quarter: Some(4 * index + quarter), density: leaf.density * 4.0 * phi * z };
+        next = node.child(quarter);
     }
-    corner + u * size
+    Descent { leaf, point: corner + rest * size }
 }
+
+/// Splits [0, 1) at `p`: the part in which `u` lies, and where `u` lies in it. A part of probability 0 is never chosen.
+fn choose(u: f32, p: f32) -> (bool, f32) {
+    let (high, rest) = if u < p { (false, u / p) } else { (true, (u - p) / (1.0 - p)) };
+    (high, rest.min(BELOW_ONE))
+}
+const BELOW_ONE: f32 = 1.0 - f32::EPSILON / 2.0;

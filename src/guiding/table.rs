@@ -2,7 +2,7 @@
 //! directions. Flat rows of four words, the same on the CPU and on the GPU. GPU twin: kernels/guiding/table.wesl
 
 use super::octant::{Draws, octant_of, octant_share, pdf_in_octant, sample_in_octant};
-use super::quadtree::{Leaf, Node, find_leaf, octant_coordinates, octant_direction, sample_leaf};
+use super::quadtree::{Leaf, Node, descend, octant_coordinates, octant_direction};
 use crate::gpu_struct;
 use glam::{Vec2, Vec3, Vec4};
 use std::f32::consts::{FRAC_1_PI, FRAC_2_PI};
@@ -203,20 +203,25 @@ pub struct GuidedDensity {
 pub mod adaptive {
     use super::*;
 
-    /// Density and slot of `direction`.
-    pub fn density(table: &GuideTable, cell: &Cell, direction: Vec3) -> GuidedDensity {
-        let octant = octant_of(direction);
-        let leaf = find_leaf(|i| table.node(i), cell.root(octant), octant_coordinates(direction));
+    fn leaf_density(table: &GuideTable, cell: &Cell, octant: u32, leaf: &Leaf) -> GuidedDensity {
         GuidedDensity {
             pdf: cell.octants[octant as usize] * FRAC_2_PI * leaf.density,
-            slot: table.slot(cell.index, octant, &leaf),
+            slot: table.slot(cell.index, octant, leaf),
         }
     }
 
-    /// A direction with that density. `choice` picks the octant.
-    pub fn sample(table: &GuideTable, cell: &Cell, choice: f32, u: Vec2) -> Vec3 {
+    /// Density and slot of `direction`.
+    pub fn density(table: &GuideTable, cell: &Cell, direction: Vec3) -> GuidedDensity {
+        let octant = octant_of(direction);
+        let found = descend(|i| table.node(i), cell.root(octant), octant_coordinates(direction), false);
+        leaf_density(table, cell, octant, &found.leaf)
+    }
+
+    /// A direction with that density, and what the table says of it. `choice` picks the octant.
+    pub fn sample(table: &GuideTable, cell: &Cell, choice: f32, u: Vec2) -> (Vec3, GuidedDensity) {
         let (octant, _) = choose_octant(&cell.octants, 1.0, choice);
-        octant_direction(octant, sample_leaf(|i| table.node(i), cell.root(octant), u))
+        let found = descend(|i| table.node(i), cell.root(octant), u, true);
+        (octant_direction(octant, found.point), leaf_density(table, cell, octant, &found.leaf))
     }
 }
 

@@ -114,7 +114,29 @@ impl Transport<'_> {
         }
     }
 
-    /// A direction for the Lambertian lobe: the guide's or the material's. Its density is [`Transport::guided_pdf`].
+    /// A direction for the Lambertian lobe, the guide's or the material's, and its density:
+    /// [`Transport::guided_density`], found on the way.
+    #[inline]
+    pub fn guided_sample(
+        &self,
+        point: &GuidePoint,
+        normal: Vec3,
+        u: Vec2,
+        draws: &Draws,
+    ) -> (Vec3, GuidedDensity) {
+        if let Some(guidance) = self.guidance.filter(|g| g.mode == GuideMode::Adaptive) {
+            let choice = draws.get(0);
+            if choice.x < point.mixture {
+                let (wi, density) = adaptive::sample(guidance.table, &point.cell, choice.w, choice.yz());
+                let pdf = point.mixture_pdf(pdf_cosine(normal.dot(wi)), density.pdf);
+                return (wi, GuidedDensity { pdf, ..density });
+            }
+        }
+        let wi = self.guided_direction(point, normal, u, draws);
+        (wi, self.guided_density(point, normal, wi))
+    }
+
+    /// The direction by itself. Its density is [`Transport::guided_pdf`].
     #[inline]
     pub fn guided_direction(&self, point: &GuidePoint, normal: Vec3, u: Vec2, draws: &Draws) -> Vec3 {
         let Some(guidance) = self.guidance else { return normal };
@@ -128,7 +150,7 @@ impl Transport<'_> {
         let u = Vec4::new(choice.x / point.mixture, choice.y, choice.z, choice.w);
         match guidance.mode {
             GuideMode::Octant => octants::sample(&point.cell, normal, &point.shares, point.mean, u, draws),
-            _ => adaptive::sample(guidance.table, &point.cell, u.w, u.yz()),
+            _ => adaptive::sample(guidance.table, &point.cell, u.w, u.yz()).0,
         }
     }
 

@@ -187,8 +187,7 @@ impl Transport<'_> {
             return (bsdf_sample(material, normal, -ray.direction, outside, u.xyz()), None);
         };
         let draws = Draws { sampler: self.sampler, key: self.sample_key(ray.path), bounce: ray.bounce };
-        let wi = self.guided_direction(point, normal, u.xy(), &draws);
-        let density = self.guided_density(point, normal, wi);
+        let (wi, density) = self.guided_sample(point, normal, u.xy(), &draws);
         let pdf = point.share * pdf_cosine(normal.dot(wi));
         let weight = if density.pdf > 0.0 { material.color * (pdf / density.pdf) } else { Vec3::ZERO };
         (BsdfSample { wi, weight, pdf }, Some(density))

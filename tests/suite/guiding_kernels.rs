@@ -322,7 +322,7 @@ fn trees_are_warped_alike_on_the_gpu() {
     let kernel = probe(
         "import package::guiding::table::{adaptive_sample, cell_at};",
         "let u = bitcast<vec3<f32>>(b.xyz);
-        out = vec4<u32>(bitcast<vec3<u32>>(adaptive_sample(cell_at(a.w), u.x, u.yz)), 0u);",
+        out = vec4<u32>(bitcast<vec3<u32>>(adaptive_sample(cell_at(a.w), u.x, u.yz, true, vec3<f32>(0.0)).direction), 0u);",
     );
     let learnt = learnt(GuideMode::Adaptive, 2);
     let asked: Vec<_> =
@@ -331,7 +331,7 @@ fn trees_are_warped_alike_on_the_gpu() {
         asked.iter().map(|(cell, u)| question(Vec3::ZERO, cell.index, *u)).collect();
     let answers = ask(&gpu, GuideMode::Adaptive, &kernel, &learnt.table, &questions);
     let far = asked.iter().zip(&answers).filter(|((cell, u), [x, y, z, _])| {
-        let expected = adaptive::sample(&learnt.table, cell, u.x, Vec2::new(u.y, u.z));
+        let expected = adaptive::sample(&learnt.table, cell, u.x, Vec2::new(u.y, u.z)).0;
         let found = Vec3::new(f32::from_bits(*x), f32::from_bits(*y), f32::from_bits(*z));
         (found - expected).length() > 1e-4
     });

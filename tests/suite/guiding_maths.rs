@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use qtracer::guiding::lessons::{VISIT_UNIT, fixed};
 use qtracer::guiding::octant::{octant_of, octant_share, octant_signs};
-use qtracer::guiding::quadtree::{MAX_DEPTH, find_leaf, octant_coordinates, octant_direction};
+use qtracer::guiding::quadtree::{MAX_DEPTH, descend, octant_coordinates, octant_direction};
 use qtracer::guiding::table::{Cell, FINER, MAX_CELL_LEVELS, NO_CELL, normal_sector};
 use qtracer::guiding::{GuideMode, GuideTable, LessonSums, Transition};
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -235,7 +235,7 @@ fn leaves_cover_the_sphere_and_hold_their_points() {
                 deepest = deepest.min(leaf.size);
                 let u = random(3, i as u32, octant);
                 for p in [leaf.low, leaf.low + Vec2::new(u.x, u.y) * leaf.size] {
-                    let found = find_leaf(|i| table.node(i), root(&cell, octant), p);
+                    let found = descend(|i| table.node(i), root(&cell, octant), p, false).leaf;
                     assert_eq!((found.quarter, found.density), (leaf.quarter, leaf.density), "{p}");
                 }
             }
@@ -250,7 +250,7 @@ fn leaves_cover_the_sphere_and_hold_their_points() {
             for i in 0..64 {
                 let u = random(4, i, octant);
                 let p = Vec2::new(u.x, u.y);
-                let found = find_leaf(|i| table.node(i), root(&cell, octant), p);
+                let found = descend(|i| table.node(i), root(&cell, octant), p, false).leaf;
                 let leaf = leaves.iter().find(|leaf| leaf.quarter == found.quarter).unwrap();
                 assert!(p.cmpge(leaf.low).all() && (p - leaf.low).max_element() < leaf.size, "{p}");
                 checked += 1;
