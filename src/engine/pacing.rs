@@ -62,10 +62,10 @@ impl PathLengths {
 
     /// Levels of a path that the fused schedule traces before survivors go back to the queue. Long paths gain, since they
     /// travel less often; of short ones too many would end early and leave their invocations idle. By measurement on an
-    /// H100 (docs/PERFORMANCE.md): 1 is best at 4 rays a path, 2 at 5, 4 at 7 and 23, 8 at 55.
+    /// H100 (docs/PERFORMANCE.md): 2 is best at 4 and 5 rays a path, 4 at 7; 4 and 8 are alike at 23 and 55.
     pub fn levels_at_once(&self) -> u32 {
         let Some(mean) = self.mean() else { return FIRST_LEVELS };
-        let fitting = (mean / 2.5).max(1.0) as u32;
+        let fitting = (mean / 1.7).max(1.0) as u32;
         (1 << fitting.ilog2()).min(MOST_LEVELS)
     }
 
@@ -90,7 +90,7 @@ mod tests {
 
     #[test]
     fn grains_follow_the_lengths_of_paths() {
-        assert_eq!([4, 5, 7, 23, 55].map(|mean| lengths(mean).levels_at_once()), [1, 2, 2, 8, 8]);
+        assert_eq!([1, 4, 5, 7, 23, 55].map(|mean| lengths(mean).levels_at_once()), [1, 2, 2, 4, 8, 8]);
         assert_eq!(PathLengths::default().levels_at_once(), FIRST_LEVELS);
         let many = 1 << 24;
         assert_eq!([5, 23, 60].map(|mean| lengths(mean).paths_at_once(many, 64)), [16, 16, 1]);
