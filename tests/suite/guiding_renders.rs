@@ -17,6 +17,20 @@ fn guided(width: u32, height: u32, seed: u32, mode: GuideMode, roulette: Roulett
     RenderOptions { guide, roulette: Some(roulette), ..small(width, height, seed) }
 }
 
+/// The same with learnt roulette that makes up to `split` copies of a path, `scale` times as many as it would.
+fn splitting(mode: GuideMode, split: u32, scale: f32, seed: u32) -> RenderOptions {
+    let options = guided(20, 20, seed, mode, Roulette::Learnt);
+    RenderOptions { split: Some(split), roulette_scale: Some(scale), ..options }
+}
+
+/// Guides, splits and scales, each with a scene: shapes of both kinds, a large scene, all materials, an environment.
+const SPLITS: [(GuideMode, u32, f32, &str); 4] = [
+    (GuideMode::Adaptive, 8, 2.5, "bansal-room-1"),
+    (GuideMode::Adaptive, 2, 1.0, "door-ajar"),
+    (GuideMode::Octant, 3, 2.5, "furnace-open-half"),
+    (GuideMode::Off, 4, 20.0, "cornell-box"),
+];
+
 /// Guides and roulettes, each with a scene: shapes of both kinds, large scenes, all materials, an environment.
 const COMBINATIONS: [(GuideMode, Roulette, &str); 7] = [
     (GuideMode::Adaptive, Roulette::Learnt, "cornell-box"),
@@ -87,6 +101,67 @@ fn neither_threads_nor_steps_change_what_is_learnt() {
             [7, u32::MAX].map(|step| render_in_steps(&scene, engine, &options, 30, step).film.mean());
         let largest = a.iter().flatten().zip(b.iter().flatten()).map(|(a, b)| (a - b).abs() / b.max(1e-3));
         assert!(largest.fold(0.0, f32::max) < 1e-5, "{engine:?}");
+    }
+}
+
+/// Bit for bit on software adapters, rays too; a queue of 256 slots, which is full all the time, never runs over.
+#[test]
+fn schedules_and_megakernel_split_alike() {
+    let exact = open_gpu().summary.software;
+    for (mode, split, scale, name) in SPLITS {
+        let options = splitting(mode, split, scale, 7);
+        let scene = scene(name);
+        let reference = render(&scene, Engine::Megakernel, &options, 30);
+        for (schedule, pool) in SCHEDULES.into_iter().flat_map(|s| [(s, None), (s, Some(256))]) {
+            let options = RenderOptions { pool, ..options.clone() };
+            let other = render(&scene, Engine::Wavefront(schedule), &options, 30);
+            let what = format!("{mode}, split {split}, {name}, {schedule:?}, pool {pool:?}");
+            if exact {
+                assert_eq!(differing_pixels(&reference.film, &other.film), 0, "{what}");
+                assert_eq!(reference.image.rgb, other.image.rgb, "{what}");
+                assert_eq!(reference.stats.rays, other.stats.rays, "{what}");
+            } else {
+                let close = differences(&other.image.view(), &reference.image.view()).unwrap();
+                assert!(close.share_within_1e3 >= 0.95, "{what}: {close:?}");
+            }
+        }
+        // Without splitting it is another image, with fewer rays.
+        let whole = render(&scene, Engine::Megakernel, &RenderOptions { split: None, ..options.clone() }, 30);
+        assert!(differing_pixels(&reference.film, &whole.film) > 100, "{name}");
+        assert!(reference.stats.rays > whole.stats.rays, "{name}: {} rays", whole.stats.rays);
+    }
+}
+
+#[test]
+fn cpu_and_gpu_split_alike() {
+    for (mode, split, scale, name) in SPLITS {
+        let [options, whole] = [split, 1].map(|split| splitting(mode, split, scale, 3));
+        let scene = scene(name);
+        let cpu = render(&scene, Engine::Cpu, &options, 30);
+        let gpu = render(&scene, Engine::Wavefront(Schedule::Fused), &options, 30);
+        let found = differences(&gpu.image.view(), &cpu.image.view()).unwrap();
+        let more_rays = gpu.stats.rays as f64 / cpu.stats.rays as f64;
+        println!("{name}: {:.2} % of pixels within 1e-3, {more_rays:.5} times the rays", 100.0 * found.share_within_1e3);
+        assert!(found.share_within_1e3 >= 0.9 && (more_rays - 1.0).abs() < 2e-3, "{name}: {found:?}");
+        // Negative control: an image without splitting.
+        let whole = render(&scene, Engine::Cpu, &whole, 30).image;
+        let control = differences(&whole.view(), &gpu.image.view()).unwrap();
+        assert!(control.share_within_1e3 < 0.7, "{name}: {control:?}");
+    }
+}
+
+#[test]
+fn split_paths_are_the_same_in_any_order() {
+    let scene = scene("bansal-room-1");
+    let options = splitting(GuideMode::Adaptive, 4, 2.5, 5);
+    let whole = render(&scene, Engine::Cpu, &options, 30);
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
+    let other = pool.install(|| render(&scene, Engine::Cpu, &options, 30));
+    assert_eq!(differing_pixels(&whole.film, &other.film), 0);
+    for engine in GPU_ENGINES {
+        let [a, b] = [(); 2].map(|_| render(&scene, engine, &options, 15));
+        assert_eq!(differing_pixels(&a.film, &b.film), 0, "{engine:?}");
+        assert_eq!(a.image.rgb, b.image.rgb, "{engine:?}");
     }
 }
 
