@@ -1,9 +1,10 @@
 //! How much error is left after so many seconds or samples? Guides and roulettes side by side, several seeds each, learning
 //! charged: the clock runs from the first sample to the last, lessons and tables included.
 //!
-//! A variant is GUIDE[:ROULETTE[:SCALE]], such as `off:throughput:4`, `adaptive:learnt:3` or `auto`. Errors are relMSE against
-//! a reference of the same size (`--reference`), minus what the reference's own standard errors make of it, or, without one,
-//! the scatter between seeds. Rows as JSON lines.
+//! A variant is GUIDE[:ROULETTE[:SCALE[:SPLIT]]], such as `off:throughput:4`, `adaptive:learnt:3`, `adaptive:learnt:1:4` or
+//! `auto`. Errors are relMSE against a reference of the same size (`--reference`), minus what the reference's own standard
+//! errors make of it, or, without one, the scatter between seeds. Work is seconds, and rays, which no other program slows
+//! down. Rows as JSON lines.
 //!
 //! `cargo bench --bench efficiency -- --scene scenes/door-ajar.toml --reference door.exr --variant off:throughput:4 \
 //!  adaptive:learnt:3 --seconds 1,4 --seeds 3`
@@ -66,6 +67,8 @@ struct Arguments {
 struct Point {
     seconds: f64,
     samples: u32,
+    /// Millions of rays, shadow rays not counted.
+    rays: f64,
     image: Image,
 }
 
@@ -98,6 +101,7 @@ fn options(
         Some(other) => return Err(format!("roulette {other}")),
     };
     let scale = parts.next().map(|scale| scale.parse().map_err(|_| format!("scale {scale}"))).transpose()?;
+    let split = parts.next().map(|split| split.parse().map_err(|_| format!("split {split}"))).transpose()?;
     let mut options = RenderOptions {
         size: Some(size),
         seed,
@@ -110,6 +114,7 @@ fn options(
         direct_light: Some(arguments.direct_light),
         roulette,
         roulette_scale: scale,
+        split,
         max_bounces: Some(arguments.max_bounces),
         sampler: Sampler::Stratified,
         ..Default::default()
@@ -152,7 +157,9 @@ fn render(
             renderer.samples() >= arguments.spp[points.len()]
         };
         if reached {
-            points.push(Point { seconds: elapsed, samples: renderer.samples(), image: renderer.image() });
+            let rays = renderer.stats().rays as f64 * 1e-6;
+            let (samples, image) = (renderer.samples(), renderer.image());
+            points.push(Point { seconds: elapsed, samples, rays, image });
         }
     }
     Ok(points)
@@ -264,10 +271,10 @@ fn report(
     truth: &Truth,
 ) -> Result<(), Box<dyn Error>> {
     println!(
-        "| {} | check | samples | seconds | relMSE | spread | trimmed | 1/(relMSE·s) | trimmed |",
+        "| {} | check | samples | seconds | relMSE | spread | trimmed | 1/(relMSE·s) | trimmed | Mrays | 1/(relMSE·Mray) |",
         scene.name
     );
-    println!("|---|---|---|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|---|---|---|---|");
     for (variant, runs) in arguments.variant.iter().zip(runs) {
         for check in 0..runs[0].len() {
             let images: Vec<&Image> = runs.iter().map(|run| &run[check].image).collect();
@@ -278,10 +285,12 @@ fn report(
             let trimmed = mean(noise.iter().map(|n| n.trimmed).collect());
             let seconds = mean(points.iter().map(|p| p.seconds).collect());
             let samples = mean(points.iter().map(|p| f64::from(p.samples)).collect());
+            let rays = mean(points.iter().map(|p| p.rays).collect());
             println!(
-                "| {variant} | {check} | {samples:.0} | {seconds:.3} | {error:.6} | {spread:.6} | {trimmed:.6} | {:.2} | {:.2} |",
+                "| {variant} | {check} | {samples:.0} | {seconds:.3} | {error:.6} | {spread:.6} | {trimmed:.6} | {:.2} | {:.2} | {rays:.2} | {:.3} |",
                 1.0 / (error * seconds),
-                1.0 / (trimmed * seconds)
+                1.0 / (trimmed * seconds),
+                1.0 / (error * rays)
             );
             write_rows(arguments, scene, variant, &points, &noise)?;
         }
@@ -303,7 +312,7 @@ fn write_rows(
         let row = json!({
             "scene": scene.name, "variant": variant, "seed": seed + 1, "engine": arguments.engine,
             "direct_light": arguments.direct_light, "epsilon": arguments.epsilon, "seconds": point.seconds,
-            "samples": point.samples, "relative_mse": noise.plain, "trimmed": noise.trimmed,
+            "samples": point.samples, "mrays": point.rays, "relative_mse": noise.plain, "trimmed": noise.trimmed,
         });
         writeln!(file, "{row}")?;
     }

@@ -141,7 +141,11 @@ impl RenderOptions {
                 return refuse("split", split, "choose 1 to 8");
             }
             if split > 1 && self.estimators(scene).roulette != Roulette::Learnt {
-                return refuse("split", split, "only roulette learnt splits paths; choose that, or a split of 1");
+                return refuse(
+                    "split",
+                    split,
+                    "only roulette learnt splits paths; choose that, or a split of 1",
+                );
             }
         }
         if let Some(GuideProblem { option, value, remedy }) = self.guide.problem() {

@@ -37,7 +37,7 @@ pub struct Transport<'a> {
 }
 
 /// What shading decides at one hit.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct ShadeOutcome<'a> {
     /// Radiance that this hit itself emits towards the camera, times throughput.
     pub emitted: Vec3,
@@ -47,7 +47,8 @@ pub struct ShadeOutcome<'a> {
     pub ray: Option<RayItem>,
     /// What it remembers of this surface.
     pub trail: Trail,
-    pub split: Option<Split<'a>>,
+    /// Boxed, since few paths are split.
+    pub split: Option<Box<Split<'a>>>,
     /// What is learnt here, but for the shadow ray.
     pub transition: Transition,
     /// What the transition's slot learns besides if nothing is in the shadow ray's way.
@@ -58,23 +59,37 @@ pub struct ShadeOutcome<'a> {
 #[derive(Clone, Copy, Debug)]
 pub struct Departure<'a> {
     /// As it arrived.
-    ray: RayItem,
-    trail: Trail,
-    surface: Surface,
+    ray: &'a RayItem,
+    trail: &'a Trail,
+    surface: &'a Surface,
     material: &'a Material,
     /// On the side from which the ray came.
     normal: Vec3,
     outside: bool,
-    point: Option<GuidePoint>,
+    point: Option<&'a GuidePoint>,
 }
 
-/// A path that goes on as several copies: [`Transport::copy_of`] makes those but the first.
+/// A path that goes on as several copies: [`Transport::copy_of`] makes those but the first, from where it leaves.
 #[derive(Clone, Copy, Debug)]
 pub struct Split<'a> {
-    at: Departure<'a>,
+    ray: RayItem,
+    trail: Trail,
+    surface: Surface,
+    material: &'a Material,
+    normal: Vec3,
+    outside: bool,
+    point: Option<GuidePoint>,
     /// How many were expected.
     survival: f32,
     pub copies: u32,
+}
+
+impl Split<'_> {
+    fn at(&self) -> Departure<'_> {
+        let Split { ray, trail, surface, material, normal, outside, point, .. } = self;
+        let (normal, outside, point) = (*normal, *outside, point.as_ref());
+        Departure { ray, trail, surface, material, normal, outside, point }
+    }
 }
 
 /// Where a shadow ray ends, as a share of the distance to the light: 1 − 2⁻²⁰, so that a surface in which a lamp lies
@@ -100,7 +115,7 @@ impl<'a> Transport<'a> {
 impl<'a> Transport<'a> {
     /// Paths of a batch are numbered sample by sample, pixel by pixel; each has all its places in a row.
     pub fn sample_key(&self, place: u32) -> SampleKey {
-        let path = place / self.places;
+        let path = if self.places == 1 { place } else { place / self.places };
         let sample = path / self.uniforms.pixel_count;
         let pixel = path - sample * self.uniforms.pixel_count;
         SampleKey {
@@ -199,10 +214,10 @@ impl<'a> Transport<'a> {
     fn scatter(&self, at: &Departure, key: SampleKey, u: Vec4) -> (BsdfSample, Option<GuidedDensity>) {
         let Departure { ray, material, normal, outside, .. } = *at;
         let mirrored = material.kind == KIND_MIRROR && u.z < material.parameter;
-        let Some(point) = at.point.as_ref().filter(|_| !mirrored) else {
+        let Some(point) = at.point.filter(|_| !mirrored) else {
             return (bsdf_sample(material, normal, -ray.direction, outside, u.xyz()), None);
         };
-        let draws = Draws { sampler: self.sampler, key, bounce: bounce_of(&ray) };
+        let draws = Draws { sampler: self.sampler, key, bounce: bounce_of(ray) };
         let wi = self.guided_direction(point, normal, u.xy(), &draws);
         let density = self.guided_density(point, normal, wi);
         let pdf = point.share * pdf_cosine(normal.dot(wi));
@@ -219,12 +234,12 @@ impl<'a> Transport<'a> {
         survival: f32,
         transition: &mut Transition,
     ) -> Trail {
-        match (&at.point, density) {
+        match (at.point, density) {
             (Some(point), Some(density)) => {
                 let weight = self.visit(point, at.normal.dot(scattered.wi), density, transition);
                 Trail { slot: density.slot, weight: weight / survival, ..Default::default() }
             }
-            _ => Trail { weight: at.trail.weight * luminance(scattered.weight) / survival, ..at.trail },
+            _ => Trail { weight: at.trail.weight * luminance(scattered.weight) / survival, ..*at.trail },
         }
     }
 
@@ -234,12 +249,12 @@ impl<'a> Transport<'a> {
         if throughput.max_element() <= 0.0 {
             return None;
         }
-        let next = spawn_ray(&at.surface, scattered.wi);
+        let next = spawn_ray(at.surface, scattered.wi);
         Some(RayItem {
             origin: next.origin,
             path: own.place,
             direction: next.direction,
-            bounce: pack_bounce(bounce_of(&at.ray) + 1, own.budget),
+            bounce: pack_bounce(bounce_of(at.ray) + 1, own.budget),
             throughput,
             pdf: scattered.pdf,
         })
@@ -262,7 +277,8 @@ impl<'a> Transport<'a> {
         let outside = ray.direction.dot(surface.normal) < 0.0;
         let normal = if outside { surface.normal } else { -surface.normal };
         let point = self.guide_point(&surface, normal, material);
-        if let Some(point) = &point {
+        let point = point.as_ref();
+        if let Some(point) = point {
             outcome.transition.value += self.learnt_radiance(point, material) * trail.weight;
         }
         if self.direct_light && material.kind != KIND_DIELECTRIC {
@@ -273,11 +289,11 @@ impl<'a> Transport<'a> {
             }
         }
 
-        let at = Departure { ray: *ray, trail: *trail, surface, material, normal, outside, point };
+        let at = Departure { ray, trail, surface: &surface, material, normal, outside, point };
         let u = sample4(self.sampler, key, dimension_bsdf(bounce));
         let (scattered, density) = self.scatter(&at, key, u);
         let throughput = ray.throughput * scattered.weight;
-        let survival = self.roulette_survival(ray, throughput, material, at.point.as_ref(), key);
+        let survival = self.roulette_survival(ray, throughput, material, point, key);
         outcome.trail = self.leave_trail(&at, &scattered, density, survival, &mut outcome.transition);
         let copies = copies_of(survival, u.w);
         if copies > 0 {
@@ -285,7 +301,9 @@ impl<'a> Transport<'a> {
             outcome.ray = self.go_on(&at, &scattered, survival, share_of(whole, copies, 0));
         }
         if copies > 1 {
-            outcome.split = Some(Split { at, survival, copies });
+            let (ray, trail, point) = (*ray, *trail, point.copied());
+            let split = Split { ray, trail, surface, material, normal, outside, point, survival, copies };
+            outcome.split = Some(Box::new(split));
         }
         outcome
     }
@@ -293,13 +311,12 @@ impl<'a> Transport<'a> {
     /// The copy of that number of a path that was split, and what it remembers; 0 is the one that `shade` made. It chooses
     /// a direction of its own. The visit to the cell was counted with the first.
     pub fn copy_of(&self, split: &Split, copy: u32) -> Option<(RayItem, Trail)> {
-        let Split { at, survival, copies } = split;
-        let whole = Share { place: at.ray.path, budget: budget_of(&at.ray) };
-        let own = share_of(whole, *copies, copy);
+        let (at, ray) = (split.at(), &split.ray);
+        let own = share_of(Share { place: ray.path, budget: budget_of(ray) }, split.copies, copy);
         let key = self.sample_key(own.place);
-        let u = sample4(self.sampler, key, dimension_bsdf(bounce_of(&at.ray)));
-        let (scattered, density) = self.scatter(at, key, u);
-        let trail = self.leave_trail(at, &scattered, density, *survival, &mut Transition::default());
-        self.go_on(at, &scattered, *survival, own).map(|ray| (ray, trail))
+        let u = sample4(self.sampler, key, dimension_bsdf(bounce_of(ray)));
+        let (scattered, density) = self.scatter(&at, key, u);
+        let trail = self.leave_trail(&at, &scattered, density, split.survival, &mut Transition::default());
+        self.go_on(&at, &scattered, split.survival, own).map(|ray| (ray, trail))
     }
 }

@@ -80,6 +80,8 @@ impl Transport<'_> {
             return None;
         }
         let expected = luminance(ray.throughput * material.color) * point.share * point.mean;
-        Some((self.uniforms.roulette_scale * expected / estimate).clamp(LEAST_SURVIVAL, budget_of(ray) as f32))
+        Some(
+            (self.uniforms.roulette_scale * expected / estimate).clamp(LEAST_SURVIVAL, budget_of(ray) as f32),
+        )
     }
 }

@@ -28,8 +28,8 @@ pub fn pack_bounce(bounce: u32, budget: u32) -> u32 {
 
 /// How many copies go on where `expected` are to: that many on average over `u`, never more than its next whole number.
 pub fn copies_of(expected: f32, u: f32) -> u32 {
-    let whole = expected.floor();
-    whole as u32 + u32::from(u < expected - whole)
+    let whole = expected as u32;
+    whole + u32::from(u < expected - whole as f32)
 }
 
 /// The places of a path from `place` on.

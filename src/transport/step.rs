@@ -8,14 +8,14 @@ use crate::scene::shapes::Ray;
 use glam::Vec3;
 
 /// `emitted` and `direct` are to be added to the path's radiance one after the other, as every schedule does.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct StepOutcome<'a> {
     pub emitted: Vec3,
     pub direct: Vec3,
     /// The path goes on with this ray, the first of its copies if it is `split`.
     pub ray: Option<RayItem>,
     pub trail: Trail,
-    pub split: Option<Split<'a>>,
+    pub split: Option<Box<Split<'a>>>,
 }
 
 impl<'a> Transport<'a> {
@@ -64,22 +64,28 @@ impl<'a> Transport<'a> {
     /// The radiance that a whole path brings to the camera, and how many rays it took, shadow rays not counted. Each copy
     /// has a sum of its own, as on a GPU, where they are traced in any order.
     pub fn trace(&self, path: u32) -> (Vec3, u32) {
-        let mut rays = 0;
-        let mut sums = [Vec3::ZERO; MAX_SPLIT as usize];
         let first = self.generate(path);
-        let mut next = Some((first, Trail::default()));
+        let (mut ray, mut trail) = (first, Trail::default());
+        let (mut sum, mut sums) = (Vec3::ZERO, [Vec3::ZERO; MAX_SPLIT as usize]);
         let mut waiting = Vec::new();
-        while let Some((ray, trail)) = next {
+        let mut rays = 0;
+        loop {
             let outcome = self.step(&ray, &trail);
             rays += 1;
-            let sum = &mut sums[(ray.path - first.path) as usize];
-            *sum += outcome.emitted;
-            *sum += outcome.direct;
+            sum += outcome.emitted;
+            sum += outcome.direct;
             if let Some(split) = &outcome.split {
                 waiting.extend((1..split.copies).filter_map(|copy| self.copy_of(split, copy)));
             }
-            next = outcome.ray.map(|ray| (ray, outcome.trail)).or_else(|| waiting.pop());
+            if let Some(next) = outcome.ray {
+                (ray, trail) = (next, outcome.trail);
+                continue;
+            }
+            sums[(ray.path - first.path) as usize] = sum;
+            let Some(copy) = waiting.pop() else { break };
+            (sum, (ray, trail)) = (Vec3::ZERO, copy);
         }
-        (sums[..self.places as usize].iter().copied().reduce(|a, b| a + b).unwrap_or_default(), rays)
+        let sums = sums[1..self.places as usize].iter().fold(sums[0], |all, sum| all + sum);
+        (sums, rays)
     }
 }
