@@ -12,24 +12,10 @@ use qtracer::transport::roulette::Roulette;
 use qtracer::{Image, RenderOptions};
 
 /// Small renders with this guide and roulette.
-fn guided(width: u32, height: u32, seed: u32, mode: GuideMode, roulette: Roulette) -> RenderOptions {
+pub fn guided(width: u32, height: u32, seed: u32, mode: GuideMode, roulette: Roulette) -> RenderOptions {
     let guide = GuideOptions { mode, ..Default::default() };
     RenderOptions { guide, roulette: Some(roulette), ..small(width, height, seed) }
 }
-
-/// The same with learnt roulette that makes up to `split` copies of a path, `scale` times as many as it would.
-fn splitting(mode: GuideMode, split: u32, scale: f32, seed: u32) -> RenderOptions {
-    let options = guided(20, 20, seed, mode, Roulette::Learnt);
-    RenderOptions { split: Some(split), roulette_scale: Some(scale), ..options }
-}
-
-/// Guides, splits and scales, each with a scene: shapes of both kinds, a large scene, all materials, an environment.
-const SPLITS: [(GuideMode, u32, f32, &str); 4] = [
-    (GuideMode::Adaptive, 8, 2.5, "bansal-room-1"),
-    (GuideMode::Adaptive, 2, 5.0, "door-ajar"),
-    (GuideMode::Octant, 3, 2.5, "furnace-open-half"),
-    (GuideMode::Off, 4, 20.0, "cornell-box"),
-];
 
 /// Guides and roulettes, each with a scene: shapes of both kinds, large scenes, all materials, an environment.
 const COMBINATIONS: [(GuideMode, Roulette, &str); 7] = [
@@ -101,76 +87,6 @@ fn neither_threads_nor_steps_change_what_is_learnt() {
             [7, u32::MAX].map(|step| render_in_steps(&scene, engine, &options, 30, step).film.mean());
         let largest = a.iter().flatten().zip(b.iter().flatten()).map(|(a, b)| (a - b).abs() / b.max(1e-3));
         assert!(largest.fold(0.0, f32::max) < 1e-5, "{engine:?}");
-    }
-}
-
-/// Bit for bit on software adapters, rays too; a queue of 256 slots, which is full all the time, never runs over.
-#[test]
-fn schedules_and_megakernel_split_alike() {
-    let exact = open_gpu().summary.software;
-    for (mode, split, scale, name) in SPLITS {
-        let options = splitting(mode, split, scale, 7);
-        let scene = scene(name);
-        let reference = render(&scene, Engine::Megakernel, &options, 30);
-        for (schedule, pool) in SCHEDULES.into_iter().flat_map(|s| [(s, None), (s, Some(256))]) {
-            let options = RenderOptions { pool, ..options.clone() };
-            let other = render(&scene, Engine::Wavefront(schedule), &options, 30);
-            let what = format!("{mode}, split {split}, {name}, {schedule:?}, pool {pool:?}");
-            if exact {
-                assert_eq!(differing_pixels(&reference.film, &other.film), 0, "{what}");
-                assert_eq!(reference.image.rgb, other.image.rgb, "{what}");
-                assert_eq!(reference.stats.rays, other.stats.rays, "{what}");
-            } else {
-                let close = differences(&other.image.view(), &reference.image.view()).unwrap();
-                assert!(close.share_within_1e3 >= 0.95, "{what}: {close:?}");
-            }
-        }
-        // Without splitting it is another image, with fewer rays.
-        let whole = render(&scene, Engine::Megakernel, &RenderOptions { split: None, ..options.clone() }, 30);
-        let (differing, more_rays) = (
-            differing_pixels(&reference.film, &whole.film),
-            reference.stats.rays as f64 / whole.stats.rays as f64,
-        );
-        println!("{name}: {differing} pixels differ, {more_rays:.3} times the rays");
-        assert!(differing > 100 && more_rays > 1.05, "{name}");
-    }
-}
-
-#[test]
-fn cpu_and_gpu_split_alike() {
-    let scene = scene("cornell-box");
-    for (mode, split, scale) in
-        [(GuideMode::Adaptive, 8, 2.5), (GuideMode::Octant, 3, 2.5), (GuideMode::Off, 4, 20.0)]
-    {
-        let [options, whole] = [split, 1].map(|split| splitting(mode, split, scale, 3));
-        let cpu = render(&scene, Engine::Cpu, &options, 30);
-        let gpu = render(&scene, Engine::Wavefront(Schedule::Fused), &options, 30);
-        let found = differences(&gpu.image.view(), &cpu.image.view()).unwrap();
-        let more_rays = gpu.stats.rays as f64 / cpu.stats.rays as f64;
-        println!(
-            "{mode}: {:.2} % of pixels within 1e-3, {more_rays:.5} times the rays",
-            100.0 * found.share_within_1e3
-        );
-        assert!(found.share_within_1e3 >= 0.93 && (more_rays - 1.0).abs() < 2e-3, "{mode}: {found:?}");
-        // Negative control: an image without splitting.
-        let whole = render(&scene, Engine::Cpu, &whole, 30).image;
-        let control = differences(&whole.view(), &gpu.image.view()).unwrap();
-        assert!(control.share_within_1e3 < 0.7, "{mode}: {control:?}");
-    }
-}
-
-#[test]
-fn split_paths_are_the_same_in_any_order() {
-    let scene = scene("bansal-room-1");
-    let options = splitting(GuideMode::Adaptive, 4, 2.5, 5);
-    let whole = render(&scene, Engine::Cpu, &options, 30);
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
-    let other = pool.install(|| render(&scene, Engine::Cpu, &options, 30));
-    assert_eq!(differing_pixels(&whole.film, &other.film), 0);
-    for engine in GPU_ENGINES {
-        let [a, b] = [(); 2].map(|_| render(&scene, engine, &options, 15));
-        assert_eq!(differing_pixels(&a.film, &b.film), 0, "{engine:?}");
-        assert_eq!(a.image.rgb, b.image.rgb, "{engine:?}");
     }
 }
 
@@ -333,13 +249,6 @@ fn guided_and_unguided_renders_agree() {
         assert!(agrees(&other), "{mode}, roulette {roulette}: {} s.e.", mean_z(&plain, &other));
         assert!(!agrees(&brightened(&other, 1.04)), "{mode}, roulette {roulette}: 4 % brighter agrees");
     }
-    for ((mode, split, scale, _), seed) in SPLITS.into_iter().zip(51..) {
-        let options = RenderOptions { size: Some((32, 32)), ..splitting(mode, split, scale, seed) };
-        let other = render(&scene, Engine::Cpu, &options, 510).image;
-        println!("{mode}, split {split}: {} s.e.", mean_z(&plain, &other));
-        assert!(agrees(&other), "{mode}, split {split}: {} s.e.", mean_z(&plain, &other));
-        assert!(!agrees(&brightened(&other, 1.04)), "{mode}, split {split}: 4 % brighter agrees");
-    }
 }
 
 /// Light comes from everywhere alike, so that every factor of the estimator is weighed: within 4 standard errors of the
@@ -362,25 +271,6 @@ fn closed_furnaces_keep_their_radiance_when_guided() {
         println!("{mode} on {engine:?}: {deviation:.1e} off, s.e. {error:.1e}");
         assert!(error < 1e-2, "{mode} on {engine:?}: too few samples, s.e. {error}");
         assert!(deviation.abs() < 4.0 * error, "{mode} on {engine:?}: {deviation} off, s.e. {error}");
-    }
-    for (engine, mode, split, spp) in [
-        (Engine::Cpu, GuideMode::Adaptive, 8, 254),
-        (Engine::Cpu, GuideMode::Octant, 3, 254),
-        (Engine::Wavefront(Schedule::Compacted), GuideMode::Adaptive, 4, 126),
-    ] {
-        let options = RenderOptions {
-            direct_light: Some(false),
-            size: Some((16, 16)),
-            ..splitting(mode, split, 4.0, 78)
-        };
-        let image = render(&scene("furnace-closed-50"), engine, &options, spp).image;
-        let (mean, error) = mean_and_relative_error(&image);
-        let deviation = mean / expected - 1.0;
-        println!("{mode}, split {split} on {engine:?}: {deviation:.1e} off, s.e. {error:.1e}");
-        assert!(
-            error < 5e-3 && deviation.abs() < 4.0 * error,
-            "{mode}, split {split} on {engine:?}: {deviation} off, s.e. {error}"
-        );
     }
     // Negative control: a light two hundredths brighter.
     let options = RenderOptions {

@@ -18,5 +18,6 @@ mod kernels;
 mod queues;
 mod references;
 mod samplers;
+mod splitting;
 mod support;
 mod tables;
