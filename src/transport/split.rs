@@ -8,7 +8,7 @@ pub const MAX_SPLIT: u32 = 8;
 /// Bits of `RayItem::bounce` below its budget.
 pub const BUDGET_SHIFT: u32 = 8;
 /// How far the number of a copy's place moves its seed: places draw numbers of their own, the first those of a path that
-/// never splits.
+/// never splits. Two renders whose seeds differ in these upper bits alone share numbers, if not at the same places.
 pub const SEED_SHIFT: u32 = 29;
 
 /// Surfaces met so far.
