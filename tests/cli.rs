@@ -236,6 +236,13 @@ fn bad_options_are_refused_by_name_with_what_would_do() {
         (&["--roulette", "maybe"], &["--roulette", "throughput", "learnt"]),
         (&["--roulette-scale", "0"], &["--roulette-scale", "above 0"]),
         (&["--roulette-scale", "1e99"], &["--roulette-scale", "above 0"]),
+        (&["--split", "9", "--roulette", "learnt"], &["--split", "9", "1..=8"]),
+        (&["--split", "0", "--roulette", "learnt"], &["--split", "0", "1..=8"]),
+        (&["--split", "2"], &["--split", "--roulette learnt"]),
+        (
+            &["--split", "2", "--guide", "adaptive", "--roulette", "throughput"],
+            &["--split", "--roulette learnt"],
+        ),
         (&["--guide", "octants"], &["--guide", "octant", "adaptive"]),
         (&["--guide-cell", "0"], &["--guide-cell", "above 0"]),
         (&["--guide-cell", "-1"], &["--guide-cell", "-1", "above 0"]),

@@ -1,5 +1,5 @@
-//! A way to guide and to end paths, in one word: GUIDE[:ROULETTE[:SCALE]], such as `off:throughput:4`, `adaptive:learnt:3`
-//! or `auto`. Parts left out are the program's defaults.
+//! A way to guide and to end paths, in one word: GUIDE[:ROULETTE[:SCALE[:SPLIT]]], such as `off:throughput:4`, `adaptive:learnt:3`,
+//! `adaptive:learnt:6:8` or `auto`. Parts left out are the program's defaults.
 
 use qtracer::RenderOptions;
 use qtracer::guiding::GuideMode;
@@ -16,11 +16,13 @@ pub struct Variant {
     pub trial: bool,
     pub roulette: Option<Roulette>,
     pub scale: Option<f32>,
+    /// Copies that a path may become.
+    pub split: Option<u32>,
 }
 
 /// The form of a variant, for messages.
-pub const FORM: &str = "GUIDE[:ROULETTE[:SCALE]], where GUIDE is off, auto, adaptive, octant, bansal or \
-bansal-reweighted, ROULETTE is off, throughput or learnt, and SCALE is a number above 0";
+pub const FORM: &str = "GUIDE[:ROULETTE[:SCALE[:SPLIT]]], where GUIDE is off, auto, adaptive, octant, bansal or \
+bansal-reweighted, ROULETTE is off, throughput or learnt, SCALE is a number above 0, and SPLIT is 1 to 8";
 
 impl FromStr for Variant {
     type Err = String;
@@ -38,9 +40,15 @@ impl FromStr for Variant {
             .next()
             .map(|part| positive(part).ok_or_else(|| wrong(&format!("\"{part}\" is no scale"))))
             .transpose()?;
+        let split = parts
+            .next()
+            .map(|part| part.parse().map_err(|_| wrong(&format!("\"{part}\" is no number of copies"))))
+            .transpose()?;
         match parts.next() {
             Some(part) => Err(wrong(&format!("\"{part}\" is too much"))),
-            None => Ok(Variant { text: text.to_string(), guide, trial: name == "auto", roulette, scale }),
+            None => {
+                Ok(Variant { text: text.to_string(), guide, trial: name == "auto", roulette, scale, split })
+            }
         }
     }
 }
@@ -76,5 +84,6 @@ impl Variant {
         options.guide.trial = self.trial;
         options.roulette = self.roulette;
         options.roulette_scale = self.scale;
+        options.split = self.split;
     }
 }

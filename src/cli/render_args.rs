@@ -95,6 +95,11 @@ struct TransportArgs {
     #[arg(long, value_name = "X", value_parser = values::factor, allow_negative_numbers = true)]
     roulette_scale: Option<f32>,
 
+    /// With --roulette learnt: let a path that is worth more than others go on as up to this many copies
+    /// [default: 1]
+    #[arg(long, value_name = "1..8", value_parser = clap::value_parser!(u32).range(1..=8), allow_negative_numbers = true)]
+    split: Option<u32>,
+
     /// How the samples of a pixel relate: spread evenly, or independent, whose standard errors are exact
     #[arg(long, value_enum, default_value_t = SamplerArg::Stratified)]
     sampler: SamplerArg,
@@ -246,6 +251,10 @@ impl RenderArgs {
         let estimators = options.estimators(&scene);
         let guide = self.guide.check(&estimators, &outputs)?;
         options.guide_table = self.guide.loaded(&estimators)?;
+        if estimators.split > 1 && estimators.roulette != Roulette::Learnt {
+            let problem = "--split goes with learnt roulette; add --roulette learnt, or --guide adaptive";
+            return Err(Failure::bad_input(problem));
+        }
         if options.roulette_scale.is_some() && estimators.roulette == Roulette::Off {
             console::warning("--roulette-scale has no effect: roulette is off");
         }
@@ -313,6 +322,7 @@ fn render_options(
             RouletteArg::Learnt => Roulette::Learnt,
         }),
         roulette_scale: transport.roulette_scale,
+        split: transport.split,
         guide: guide.options(),
         guide_table: None,
         sampler: match transport.sampler {

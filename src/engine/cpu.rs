@@ -61,6 +61,7 @@ impl CpuEngine {
             sampler: self.estimators.sampler,
             direct_light: self.estimators.direct_light && !self.scene.lights.is_empty(),
             roulette: self.strategy.roulette,
+            places: if self.strategy.informed { self.estimators.places() } else { 1 },
             guidance: self.guide.as_ref().filter(|_| self.strategy.informed).map(|(table, sums)| Guidance {
                 mode: self.estimators.table_mode(),
                 table,
@@ -119,8 +120,8 @@ impl Engine for CpuEngine {
     ) -> Result<(), RenderError> {
         let start = Instant::now();
         let pixels = self.uniforms.width * self.uniforms.height;
-        // Paths of a pass are numbered in 32 bits.
-        let longest = (u32::MAX / pixels).max(1);
+        // Paths of a pass, and their places, are numbered in 32 bits.
+        let longest = (u32::MAX / pixels / self.estimators.places()).max(1);
         let mut sample = range.start;
         while sample < range.end && !cancel.is_cancelled() {
             let end = range.end.min(sample.saturating_add(longest));

@@ -36,12 +36,25 @@ struct Waiting {
 /// Traces the paths and puts what each brings to the camera into its place of `radiance`, which must be zero. Returns how
 /// many rays that took, shadow rays not counted.
 pub fn trace_all(transport: &Transport, paths: &[u32], radiance: &mut [Vec3]) -> u64 {
+    if transport.places > 1 {
+        return trace_each(transport, paths, radiance);
+    }
     #[cfg(target_arch = "x86_64")]
     if std::arch::is_x86_feature_detected!("avx2") {
         // SAFETY: the processor has AVX2.
         return unsafe { trace_all_avx2(transport, paths, radiance) };
     }
     trace_levels(transport, paths, radiance)
+}
+
+/// Paths that may split, one after the other: their copies would not fit a pool of fixed size.
+fn trace_each(transport: &Transport, paths: &[u32], radiance: &mut [Vec3]) -> u64 {
+    let traced = paths.iter().zip(radiance).map(|(&path, radiance)| {
+        let (sum, rays) = transport.trace(path);
+        *radiance = sum;
+        u64::from(rays)
+    });
+    traced.sum()
 }
 
 #[cfg(target_arch = "x86_64")]

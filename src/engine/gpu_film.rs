@@ -17,7 +17,7 @@ use std::collections::HashMap;
 use std::time::Instant;
 use wgpu::BufferUsages;
 
-/// Bytes of radiance per path.
+/// Bytes of radiance per path, and where paths split per place.
 const RADIANCE_BYTES: u64 = 12;
 /// Paths of a batch by kind of adapter: enough to fill it, few enough that a step stays short.
 const BATCH_PATHS: u64 = 1 << 25;
@@ -37,6 +37,8 @@ pub struct GpuFilm {
     pub stats: RenderStats,
     /// Paths of the largest batch.
     pub max_paths: u32,
+    /// Bytes of radiance that a path has, in whatever pass.
+    path_bytes: u64,
     resolve_bind: Option<wgpu::BindGroup>,
     clock: Clock,
     /// Sums on their way to the host.
@@ -96,10 +98,13 @@ impl GpuFilm {
             _ => BATCH_PATHS,
         };
         // With one sample per pixel, the sums take more than the radiance.
-        let widest = RADIANCE_BYTES.max(size_of::<BlockSum>() as u64);
+        let path_bytes = RADIANCE_BYTES * u64::from(key.places);
+        let widest = path_bytes.max(size_of::<BlockSum>() as u64);
         let limit = gpu.summary.max_binding.min(gpu.summary.max_buffer) / widest;
-        // A pass over all pixels in one batch where that is possible at all, and never more than will be asked for.
-        let max_paths = batch.max(pixels.min(1 << 25)).min(limit).min(u64::from(u32::MAX)) as u32;
+        // A pass over all pixels in one batch where that is possible at all, and never more than will be asked for. Places
+        // count as paths do: a batch with splitting takes no more memory.
+        let places = batch.max(pixels.min(1 << 25)).min(u64::from(u32::MAX));
+        let max_paths = (places / u64::from(key.places)).min(limit) as u32;
         let clock = Clock::new(&gpu);
         let mut film = GpuFilm {
             stats: RenderStats {
@@ -116,6 +121,7 @@ impl GpuFilm {
             buffers: Buffers::default(),
             uniforms,
             max_paths,
+            path_bytes,
             resolve_bind: None,
             clock,
             pending: None,
@@ -170,7 +176,7 @@ impl GpuFilm {
 
     /// Makes the radiance and the sums large enough for `batch`; true if bind groups must be made anew.
     pub fn reserve(&mut self, batch: &Batch) -> Result<bool, RenderError> {
-        let radiance = u64::from(batch.paths()) * RADIANCE_BYTES;
+        let radiance = u64::from(batch.paths()) * self.path_bytes;
         let sums = u64::from(batch.pixel_count * batch.blocks()) * size_of::<BlockSum>() as u64;
         let have = self.buffers.bytes();
         let enough = |name: &str, bytes: u64| have.get(name).is_some_and(|&b| b >= bytes);

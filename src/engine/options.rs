@@ -7,6 +7,7 @@ use crate::random::Sampler;
 use crate::scene::{Scene, check_image_size};
 use crate::transport::estimators::Estimators;
 use crate::transport::roulette::Roulette;
+use crate::transport::split::MAX_SPLIT;
 use std::fmt;
 use std::sync::Arc;
 
@@ -58,6 +59,9 @@ pub struct RenderOptions {
     /// Survival in roulette is this times what it would be, up to certainty: larger is slower and less noisy. 1 by
     /// default, for learnt roulette 2.5.
     pub roulette_scale: Option<f32>,
+    /// Where learnt roulette expects more of a path than of others, it may go on as up to so many copies in all, 1 to 8; 1
+    /// by default.
+    pub split: Option<u32>,
     /// Whether and how paths are guided by what earlier ones found.
     pub guide: GuideOptions,
     /// What was learnt before, to start from; its mode must be the one asked for. It may be of another scene
@@ -95,6 +99,7 @@ impl RenderOptions {
                 Roulette::Learnt => LEARNT_SCALE,
                 _ => 1.0,
             }),
+            split: self.split.unwrap_or(1),
             guide: self.guide.mode,
             sampler: self.sampler,
             max_bounces: self.max_bounces.unwrap_or(scene.defaults.max_bounces),
@@ -138,6 +143,18 @@ impl RenderOptions {
                 value: scale.to_string(),
                 remedy: "choose a finite number above 0".to_string(),
             });
+        }
+        if let Some(split) = self.split {
+            if !(1..=MAX_SPLIT).contains(&split) {
+                return refuse("split", split, "choose 1 to 8");
+            }
+            if split > 1 && self.estimators(scene).roulette != Roulette::Learnt {
+                return refuse(
+                    "split",
+                    split,
+                    "only roulette learnt splits paths; choose that, or a split of 1",
+                );
+            }
         }
         if let Some(GuideProblem { option, value, remedy }) = self.guide.problem() {
             return Err(RenderError::Option { option, value, remedy: remedy.to_string() });
@@ -186,5 +203,22 @@ mod tests {
             let options = RenderOptions { roulette_scale: Some(scale), ..Default::default() };
             assert_eq!(refused(options).map(|(option, _)| option), Some("roulette_scale"));
         }
+    }
+
+    #[test]
+    fn splitting_goes_with_learnt_roulette() {
+        let with = |split, roulette| RenderOptions { split: Some(split), roulette, ..Default::default() };
+        for split in [0, 9, u32::MAX] {
+            let (option, message) = refused(with(split, Some(Roulette::Learnt))).unwrap();
+            assert!(option == "split" && message.ends_with("choose 1 to 8"), "{message}");
+        }
+        for roulette in [None, Some(Roulette::Off), Some(Roulette::Throughput)] {
+            let (option, message) = refused(with(2, roulette)).unwrap();
+            assert!(option == "split" && message.contains("roulette learnt"), "{message}");
+            assert_eq!(refused(with(1, roulette)), None);
+        }
+        assert_eq!(refused(with(8, Some(Roulette::Learnt))), None);
+        let guide = GuideOptions { mode: GuideMode::Adaptive, ..Default::default() };
+        assert_eq!(refused(RenderOptions { guide, ..with(8, None) }), None);
     }
 }

@@ -127,6 +127,9 @@ impl Renderer {
         metadata.set("sampler", format!("{:?}", self.estimators.sampler).to_lowercase());
         metadata.set("direct_light", self.estimators.direct_light);
         metadata.set("roulette", self.estimators.roulette);
+        if self.estimators.places() > 1 {
+            metadata.set("split", self.estimators.places());
+        }
         let guide = self.estimators.guide;
         match self.learner().filter(|_| guide.is_biased()) {
             Some(learner) => {

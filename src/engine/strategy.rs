@@ -212,6 +212,7 @@ mod tests {
             direct_light: true,
             roulette: Roulette::Learnt,
             roulette_scale: 2.5,
+            split: 1,
             sampler,
             max_bounces: 64,
             guide: GuideMode::Adaptive,

@@ -72,12 +72,13 @@ impl WavefrontEngine {
         (size_of::<RayItem>().max(size_of::<ShadowItem>()) + trail) as u64
     }
 
-    /// Rays per queue for a batch: the pool, less if the batch is smaller or a binding can't hold it.
+    /// Rays per queue for a batch: the pool, less if the batch has fewer, all copies counted, or a binding can't hold it.
     fn capacity(&self, batch: &Batch) -> u32 {
         let hit_bytes = size_of::<HitItem>() as u64 * u64::from(self.gpu.key.hit_queues());
         let widest = hit_bytes.max(self.ray_bytes());
         let fitting = self.gpu.gpu.summary.max_binding.min(self.gpu.gpu.summary.max_buffer) / widest;
-        self.pool.min(batch.paths()).min(fitting.min(u64::from(u32::MAX)) as u32)
+        let most = batch.paths().saturating_mul(self.gpu.key.places);
+        self.pool.min(most).min(fitting.min(u64::from(u32::MAX)) as u32)
     }
 
     /// The queues that some kernel binds, at the capacity in the uniforms.
@@ -133,9 +134,11 @@ impl WavefrontEngine {
             .collect();
     }
 
-    /// Levels after which any batch is done: the pool is filled again at the latest when all its paths are at their end.
+    /// Levels after which any batch is done: the pool is filled again at the latest when all its paths are at their end. It
+    /// holds as many paths as it has room for all their copies.
     fn most_levels(&self, batch: &Batch) -> u32 {
-        let fillings = batch.paths().div_ceil(self.gpu.uniforms.capacity) + 1;
+        let paths = self.gpu.uniforms.capacity / self.gpu.key.places;
+        let fillings = batch.paths().div_ceil(paths) + 1;
         fillings * (self.gpu.uniforms.max_bounces + 1) + 4
     }
 

@@ -25,6 +25,8 @@ pub struct KernelKey {
     pub sphere_lights: bool,
     pub quad_lights: bool,
     pub roulette: Roulette,
+    /// Places that a path has for its radiance; more than one where paths split.
+    pub places: u32,
     /// The kind of table that is learnt, None if nothing is.
     pub guide: Option<GuideMode>,
     /// Whether it guides directions, not roulette alone.
@@ -70,6 +72,7 @@ impl KernelKey {
             sphere_lights: direct_light && scene.lights.iter().any(|l| !is_quad(l.shape)),
             quad_lights: direct_light && scene.lights.iter().any(|l| is_quad(l.shape)),
             roulette: estimators.roulette,
+            places: estimators.places(),
             guide: estimators.learns().then(|| estimators.table_mode()),
             guided: estimators.guide != GuideMode::Off,
             teaches: estimators.learns(),
@@ -107,6 +110,7 @@ impl KernelKey {
             ("quad_lights", self.quad_lights),
             ("roulette", self.roulette != Roulette::Off),
             ("learnt_roulette", self.roulette == Roulette::Learnt),
+            ("splits", self.places > 1),
             ("learns", self.guide.is_some()),
             ("guided", self.guided),
             ("teaches", self.teaches),
@@ -142,6 +146,9 @@ impl fmt::Display for KernelKey {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let on: Vec<&str> = self.flags().iter().filter(|(_, on)| *on).map(|(name, _)| *name).collect();
         f.write_str(&on.join("+"))?;
+        if self.places > 1 {
+            write!(f, " (splits up to {})", self.places)?;
+        }
         match self.small_scene {
             Some(SmallScene { spheres, quads, aligned: [x, y, z] }) => {
                 write!(f, " ({spheres} spheres, {quads} quads, of which aligned {x} {y} {z})")

@@ -40,6 +40,7 @@ pub const MODULES: &[(&str, &str)] = modules![
     "transport/light",
     "transport/path",
     "transport/roulette",
+    "transport/split",
     "transport/step",
     "stages/arguments",
     "stages/compact",

@@ -50,10 +50,12 @@ pub enum Counter {
     TransitionsLive,
     /// Rays traced by this batch, shadow rays not counted.
     Rays,
+    /// Places for radiance that the paths of rays pushed for the next level own; where paths split.
+    Places,
     FirstHit,
 }
 
-const COUNTER_NAMES: [&str; 11] = [
+const COUNTER_NAMES: [&str; 12] = [
     "COUNTER_OVERFLOW",
     "COUNTER_SURVIVORS",
     "COUNTER_LIVE",
@@ -64,6 +66,7 @@ const COUNTER_NAMES: [&str; 11] = [
     "COUNTER_TRANSITIONS",
     "COUNTER_TRANSITIONS_LIVE",
     "COUNTER_RAYS",
+    "COUNTER_PLACES",
     "FIRST_HIT_COUNTER",
 ];
 
@@ -213,6 +216,7 @@ impl Stage {
         };
         define("WORKGROUP", WORKGROUP);
         define("BLOCK", BLOCK);
+        define("SPLIT", scene.places);
         define("COUNTERS", counter_words(scene));
         for (i, name) in COUNTER_NAMES.iter().enumerate() {
             define(name, i as u32);

@@ -7,11 +7,13 @@ gpu_struct! {
     /// A ray in flight with the state of its path. 48 bytes.
     pub struct RayItem {
         origin: Vec3,
-        /// Number of the path within its batch; `u32::MAX` marks a dead slot before compaction.
+        /// Number of the path within its batch, where paths split of its place: the first of those that this ray's path
+        /// has to itself; `u32::MAX` marks a dead slot before compaction.
         path: u32,
         /// Unit length.
         direction: Vec3,
-        /// Surfaces met so far: 0 for a camera ray.
+        /// Surfaces met so far: 0 for a camera ray. Where paths split, how many places it owns as well: see
+        /// [`super::split`].
         bounce: u32,
         /// Product of f·cosθ/pdf and roulette weights so far; non-negative and finite.
         throughput: Vec3,

@@ -6,4 +6,5 @@ pub mod items;
 pub mod light;
 pub mod path;
 pub mod roulette;
+pub mod split;
 pub mod step;

@@ -5,6 +5,7 @@ use super::guide::{Guidance, GuidePoint};
 use super::items::{RayItem, ShadowItem};
 use super::light::{choose_light, pdf_light, sample_light};
 use super::roulette::Roulette;
+use super::split::{SEED_SHIFT, Share, bounce_of, budget_of, copies_of, pack_bounce, share_of};
 use crate::accel::ShapeLanes;
 use crate::bsdf::{BsdfSample, bsdf_evaluate, bsdf_sample};
 use crate::guiding::octant::Draws;
@@ -29,25 +30,66 @@ pub struct Transport<'a> {
     /// Next-event estimation, combined with BSDF sampling; needs a light.
     pub direct_light: bool,
     pub roulette: Roulette,
+    /// Places that a path has for its radiance: how many copies learnt roulette may make of it. Usually 1.
+    pub places: u32,
     /// What was learnt; None with guiding and learnt roulette off.
     pub guidance: Option<Guidance<'a>>,
 }
 
 /// What shading decides at one hit.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct ShadeOutcome {
+#[derive(Clone, Debug, Default)]
+pub struct ShadeOutcome<'a> {
     /// Radiance that this hit itself emits towards the camera, times throughput.
     pub emitted: Vec3,
     /// If nothing is in its way, its radiance counts.
     pub shadow: Option<ShadowItem>,
-    /// The path goes on with this ray.
+    /// The path goes on with this ray, the first of its copies if it is `split`.
     pub ray: Option<RayItem>,
     /// What it remembers of this surface.
     pub trail: Trail,
+    /// Boxed, since few paths are split.
+    pub split: Option<Box<Split<'a>>>,
     /// What is learnt here, but for the shadow ray.
     pub transition: Transition,
     /// What the transition's slot learns besides if nothing is in the shadow ray's way.
     pub shadow_value: f32,
+}
+
+/// Where a path leaves a surface, and what is known there.
+#[derive(Clone, Copy, Debug)]
+pub struct Departure<'a> {
+    /// As it arrived.
+    ray: &'a RayItem,
+    trail: &'a Trail,
+    surface: &'a Surface,
+    material: &'a Material,
+    /// On the side from which the ray came.
+    normal: Vec3,
+    outside: bool,
+    point: Option<&'a GuidePoint>,
+}
+
+/// A path that goes on as several copies: [`Transport::copy_of`] makes those but the first, from where it leaves.
+#[derive(Clone, Copy, Debug)]
+pub struct Split<'a> {
+    ray: RayItem,
+    trail: Trail,
+    surface: Surface,
+    material: &'a Material,
+    normal: Vec3,
+    outside: bool,
+    point: Option<GuidePoint>,
+    /// How many were expected.
+    survival: f32,
+    pub copies: u32,
+}
+
+impl Split<'_> {
+    fn at(&self) -> Departure<'_> {
+        let Split { ray, trail, surface, material, normal, outside, point, .. } = self;
+        let (normal, outside, point) = (*normal, *outside, point.as_ref());
+        Departure { ray, trail, surface, material, normal, outside, point }
+    }
 }
 
 /// Where a shadow ray ends, as a share of the distance to the light: 1 − 2⁻²⁰, so that a surface in which a lamp lies
@@ -64,37 +106,40 @@ impl<'a> Transport<'a> {
             sampler: Sampler::Independent,
             direct_light: false,
             roulette: Roulette::Throughput,
+            places: 1,
             guidance: None,
         }
     }
 }
 
-impl Transport<'_> {
-    /// Paths of a batch are numbered sample by sample, pixel by pixel.
+impl<'a> Transport<'a> {
+    /// Paths of a batch are numbered sample by sample, pixel by pixel; each has all its places in a row.
     #[inline(always)]
-    pub fn sample_key(&self, path: u32) -> SampleKey {
+    pub fn sample_key(&self, place: u32) -> SampleKey {
+        let path = if self.places == 1 { place } else { place / self.places };
         let sample = path / self.uniforms.pixel_count;
         let pixel = path - sample * self.uniforms.pixel_count;
         SampleKey {
             pixel: self.uniforms.first_pixel + pixel,
             sample: self.uniforms.first_sample + sample,
-            seed: self.uniforms.seed,
+            seed: self.uniforms.seed ^ (place - path * self.places) << SEED_SHIFT,
         }
     }
 
-    /// The camera ray with which `path` starts.
+    /// The camera ray with which `path` starts; all the places of the path are its own.
     #[inline(always)]
     pub fn generate(&self, path: u32) -> RayItem {
-        let key = self.sample_key(path);
+        let place = path * self.places;
+        let key = self.sample_key(place);
         let u = sample4(self.sampler, key, DIMENSION_CAMERA);
         let row = key.pixel / self.uniforms.width;
         let column = key.pixel - row * self.uniforms.width;
         let ray = camera_ray(self.uniforms, [column, row], u.xy());
         RayItem {
             origin: ray.origin,
-            path,
+            path: place,
             direction: ray.direction,
-            bounce: 0,
+            bounce: pack_bounce(0, self.places),
             throughput: Vec3::ONE,
             pdf: 0.0,
         }
@@ -143,7 +188,7 @@ impl Transport<'_> {
         material: &Material,
         key: SampleKey,
     ) -> Option<ShadowItem> {
-        let u = sample4(self.sampler, key, dimension_light(ray.bounce));
+        let u = sample4(self.sampler, key, dimension_light(bounce_of(ray)));
         let light = &self.scene.lights[choose_light(self.scene, u.x) as usize];
         // The point that the continued ray will leave from, so that both strategies measure the light from the same place.
         let origin = spawn_ray(surface, normal).origin;
@@ -173,36 +218,65 @@ impl Transport<'_> {
     /// The sample's density is the material's own, which is what weights emission against direct light: any density does
     /// that without bias if both sides use the same, and this one costs no look-up for the directions of lights.
     #[inline(always)]
-    fn scatter(
-        &self,
-        ray: &RayItem,
-        material: &Material,
-        normal: Vec3,
-        outside: bool,
-        point: Option<&GuidePoint>,
-        u: Vec4,
-    ) -> (BsdfSample, Option<GuidedDensity>) {
+    fn scatter(&self, at: &Departure, key: SampleKey, u: Vec4) -> (BsdfSample, Option<GuidedDensity>) {
+        let Departure { ray, material, normal, outside, .. } = *at;
         let mirrored = material.kind == KIND_MIRROR && u.z < material.parameter;
-        let Some(point) = point.filter(|_| !mirrored) else {
+        let Some(point) = at.point.filter(|_| !mirrored) else {
             return (bsdf_sample(material, normal, -ray.direction, outside, u.xyz()), None);
         };
-        let draws = Draws { sampler: self.sampler, key: self.sample_key(ray.path), bounce: ray.bounce };
+        let draws = Draws { sampler: self.sampler, key, bounce: bounce_of(ray) };
         let (wi, density) = self.guided_sample(point, normal, u.xy(), &draws);
         let pdf = point.share * pdf_cosine(normal.dot(wi));
         let weight = if density.pdf > 0.0 { material.color * (pdf / density.pdf) } else { Vec3::ZERO };
         (BsdfSample { wi, weight, pdf }, Some(density))
     }
 
+    /// What a path that leaves in that direction remembers; a visit to the cell is noted in `transition`.
+    fn leave_trail(
+        &self,
+        at: &Departure,
+        scattered: &BsdfSample,
+        density: Option<GuidedDensity>,
+        survival: f32,
+        transition: &mut Transition,
+    ) -> Trail {
+        match (at.point, density) {
+            (Some(point), Some(density)) => {
+                let weight = self.visit(point, at.normal.dot(scattered.wi), density, transition);
+                Trail { slot: density.slot, weight: weight / survival, ..Default::default() }
+            }
+            _ => Trail { weight: at.trail.weight * luminance(scattered.weight) / survival, ..*at.trail },
+        }
+    }
+
+    /// The ray with which a path goes on in that direction, with these places; None if nothing can come of it.
+    fn go_on(&self, at: &Departure, scattered: &BsdfSample, survival: f32, own: Share) -> Option<RayItem> {
+        let throughput = at.ray.throughput * scattered.weight / survival;
+        if throughput.max_element() <= 0.0 {
+            return None;
+        }
+        let next = spawn_ray(at.surface, scattered.wi);
+        Some(RayItem {
+            origin: next.origin,
+            path: own.place,
+            direction: next.direction,
+            bounce: pack_bounce(bounce_of(at.ray) + 1, own.budget),
+            throughput,
+            pdf: scattered.pdf,
+        })
+    }
+
     /// Everything that happens where a ray meets a surface.
     #[inline(always)]
-    pub fn shade(&self, ray: &RayItem, trail: &Trail, hit: Hit) -> ShadeOutcome {
+    pub fn shade(&self, ray: &RayItem, trail: &Trail, hit: Hit) -> ShadeOutcome<'a> {
         let surface = surface_at(self.scene, Ray { origin: ray.origin, direction: ray.direction }, hit);
         let material = &self.scene.materials[shape_info(self.scene, hit.shape).material as usize];
         let emission = self.emission(ray, hit, &surface, material);
         let mut outcome = ShadeOutcome { emitted: ray.throughput * emission, ..Default::default() };
         outcome.transition =
             Transition { slot: trail.slot, value: luminance(emission) * trail.weight, ..Default::default() };
-        if ray.bounce + 1 >= self.uniforms.max_bounces || material.color.max_element() <= 0.0 {
+        let bounce = bounce_of(ray);
+        if bounce + 1 >= self.uniforms.max_bounces || material.color.max_element() <= 0.0 {
             return outcome;
         }
 
@@ -222,30 +296,34 @@ impl Transport<'_> {
             }
         }
 
-        let u = sample4(self.sampler, key, dimension_bsdf(ray.bounce));
-        let (scattered, density) = self.scatter(ray, material, normal, outside, point, u);
-        let survival = self.roulette_survival(ray, ray.throughput * scattered.weight, material, point, key);
-        outcome.trail = match (point, density) {
-            (Some(point), Some(density)) => {
-                let cosine = normal.dot(scattered.wi);
-                let weight = self.visit(point, cosine, density, &mut outcome.transition);
-                Trail { slot: density.slot, weight: weight / survival, ..Default::default() }
-            }
-            _ => Trail { weight: trail.weight * luminance(scattered.weight) / survival, ..*trail },
-        };
-        let throughput = ray.throughput * scattered.weight / survival;
-        if u.w >= survival || throughput.max_element() <= 0.0 {
-            return outcome;
+        let at = Departure { ray, trail, surface: &surface, material, normal, outside, point };
+        let u = sample4(self.sampler, key, dimension_bsdf(bounce));
+        let (scattered, density) = self.scatter(&at, key, u);
+        let throughput = ray.throughput * scattered.weight;
+        let survival = self.roulette_survival(ray, throughput, material, point, key);
+        outcome.trail = self.leave_trail(&at, &scattered, density, survival, &mut outcome.transition);
+        let copies = copies_of(survival, u.w);
+        if copies > 0 {
+            let whole = Share { place: ray.path, budget: budget_of(ray) };
+            outcome.ray = self.go_on(&at, &scattered, survival, share_of(whole, copies, 0));
         }
-        let next = spawn_ray(&surface, scattered.wi);
-        outcome.ray = Some(RayItem {
-            origin: next.origin,
-            path: ray.path,
-            direction: next.direction,
-            bounce: ray.bounce + 1,
-            throughput,
-            pdf: scattered.pdf,
-        });
+        if copies > 1 {
+            let (ray, trail, point) = (*ray, *trail, point.copied());
+            let split = Split { ray, trail, surface, material, normal, outside, point, survival, copies };
+            outcome.split = Some(Box::new(split));
+        }
         outcome
+    }
+
+    /// The copy of that number of a path that was split, and what it remembers; 0 is the one that `shade` made. It chooses
+    /// a direction of its own. The visit to the cell was counted with the first.
+    pub fn copy_of(&self, split: &Split, copy: u32) -> Option<(RayItem, Trail)> {
+        let (at, ray) = (split.at(), &split.ray);
+        let own = share_of(Share { place: ray.path, budget: budget_of(ray) }, split.copies, copy);
+        let key = self.sample_key(own.place);
+        let u = sample4(self.sampler, key, dimension_bsdf(bounce_of(ray)));
+        let (scattered, density) = self.scatter(&at, key, u);
+        let trail = self.leave_trail(&at, &scattered, density, split.survival, &mut Transition::default());
+        self.go_on(&at, &scattered, split.survival, own).map(|ray| (ray, trail))
     }
 }

@@ -3,6 +3,7 @@
 use super::guide::GuidePoint;
 use super::items::RayItem;
 use super::path::Transport;
+use super::split::{bounce_of, budget_of};
 use crate::math::luminance;
 use crate::random::SampleKey;
 use crate::scene::compiled::{KIND_DIELECTRIC, Material};
@@ -38,8 +39,8 @@ pub const ROULETTE_FROM_BOUNCE: u32 = 3;
 pub const LEAST_SURVIVAL: f32 = 0.05;
 
 impl Transport<'_> {
-    /// Chance with which the path goes on; a survivor carries the weight of those that did not. `throughput` includes
-    /// this surface.
+    /// Chance with which the path goes on, or how many copies of it are to go on on average; each carries the weight of
+    /// the path over that. `throughput` includes this surface.
     #[inline(always)]
     pub(super) fn roulette_survival(
         &self,
@@ -53,8 +54,8 @@ impl Transport<'_> {
             (Roulette::Off, _) => 1.0,
             (Roulette::Learnt, Some(point)) => self
                 .learnt_survival(ray, material, point, key)
-                .unwrap_or_else(|| self.throughput_survival(throughput, ray.bounce, material.kind)),
-            _ => self.throughput_survival(throughput, ray.bounce, material.kind),
+                .unwrap_or_else(|| self.throughput_survival(throughput, bounce_of(ray), material.kind)),
+            _ => self.throughput_survival(throughput, bounce_of(ray), material.kind),
         }
     }
 
@@ -67,7 +68,8 @@ impl Transport<'_> {
         (throughput.max_element() * self.uniforms.roulette_scale).min(1.0)
     }
 
-    /// What going on is expected to bring over the estimate of the pixel, None where either is unknown.
+    /// What going on is expected to bring over the estimate of the pixel, at most as many copies as the path may become;
+    /// None where either is unknown.
     #[inline]
     fn learnt_survival(
         &self,
@@ -81,6 +83,8 @@ impl Transport<'_> {
             return None;
         }
         let expected = luminance(ray.throughput * material.color) * point.share * point.mean;
-        Some((self.uniforms.roulette_scale * expected / estimate).clamp(LEAST_SURVIVAL, 1.0))
+        Some(
+            (self.uniforms.roulette_scale * expected / estimate).clamp(LEAST_SURVIVAL, budget_of(ray) as f32),
+        )
     }
 }

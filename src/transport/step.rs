@@ -1,24 +1,26 @@
 //! One level of a path from start to end: intersect, shade, test the shadow ray. GPU twin: kernels/transport/step.wesl
 
 use super::items::RayItem;
-use super::path::Transport;
+use super::path::{ShadeOutcome, Split, Transport};
+use super::split::MAX_SPLIT;
 use crate::guiding::{Trail, Transition};
 use crate::scene::shapes::Ray;
 use glam::Vec3;
 
 /// `emitted` and `direct` are to be added to the path's radiance one after the other, as every schedule does.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct StepOutcome {
+#[derive(Clone, Debug, Default)]
+pub struct StepOutcome<'a> {
     pub emitted: Vec3,
     pub direct: Vec3,
-    /// The path goes on with this ray.
+    /// The path goes on with this ray, the first of its copies if it is `split`.
     pub ray: Option<RayItem>,
     pub trail: Trail,
+    pub split: Option<Box<Split<'a>>>,
 }
 
-impl Transport<'_> {
+impl<'a> Transport<'a> {
     #[inline]
-    pub fn step(&self, ray: &RayItem, trail: &Trail) -> StepOutcome {
+    pub fn step(&self, ray: &RayItem, trail: &Trail) -> StepOutcome<'a> {
         let hit = self.lanes.intersect(Ray { origin: ray.origin, direction: ray.direction });
         let Some(hit) = hit else {
             self.learn(&Transition {
@@ -47,7 +49,8 @@ impl Transport<'_> {
             }
             None => Vec3::ZERO,
         };
-        StepOutcome { emitted: shaded.emitted, direct, ray: shaded.ray, trail: shaded.trail }
+        let ShadeOutcome { emitted, ray, trail, split, .. } = shaded;
+        StepOutcome { emitted, direct, ray, trail, split }
     }
 
     /// Adds a transition to the pass's sums.
@@ -60,20 +63,32 @@ impl Transport<'_> {
         }
     }
 
-    /// The radiance that a whole path brings to the camera, and how many rays it took, shadow rays not counted.
+    /// The radiance that a whole path brings to the camera, and how many rays it took, shadow rays not counted. Each copy
+    /// has a sum of its own, as on a GPU, where they are traced in any order.
     #[inline]
     pub fn trace(&self, path: u32) -> (Vec3, u32) {
+        let first = self.generate(path);
+        let (mut ray, mut trail) = (first, Trail::default());
+        let (mut sum, mut sums) = (Vec3::ZERO, [Vec3::ZERO; MAX_SPLIT as usize]);
+        let mut waiting = Vec::new();
         let mut rays = 0;
-        let mut radiance = Vec3::ZERO;
-        let mut trail = Trail::default();
-        let mut next = Some(self.generate(path));
-        while let Some(ray) = next {
+        loop {
             let outcome = self.step(&ray, &trail);
             rays += 1;
-            radiance += outcome.emitted;
-            radiance += outcome.direct;
-            (next, trail) = (outcome.ray, outcome.trail);
+            sum += outcome.emitted;
+            sum += outcome.direct;
+            if let Some(split) = &outcome.split {
+                waiting.extend((1..split.copies).filter_map(|copy| self.copy_of(split, copy)));
+            }
+            if let Some(next) = outcome.ray {
+                (ray, trail) = (next, outcome.trail);
+                continue;
+            }
+            sums[(ray.path - first.path) as usize] = sum;
+            let Some(copy) = waiting.pop() else { break };
+            (sum, (ray, trail)) = (Vec3::ZERO, copy);
         }
-        (radiance, rays)
+        let sums = sums[1..self.places as usize].iter().fold(sums[0], |all, sum| all + sum);
+        (sums, rays)
     }
 }

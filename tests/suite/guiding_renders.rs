@@ -12,7 +12,7 @@ use qtracer::transport::roulette::Roulette;
 use qtracer::{Image, RenderOptions};
 
 /// Small renders with this guide and roulette.
-fn guided(width: u32, height: u32, seed: u32, mode: GuideMode, roulette: Roulette) -> RenderOptions {
+pub fn guided(width: u32, height: u32, seed: u32, mode: GuideMode, roulette: Roulette) -> RenderOptions {
     let guide = GuideOptions { mode, ..Default::default() };
     RenderOptions { guide, roulette: Some(roulette), ..small(width, height, seed) }
 }

@@ -17,6 +17,7 @@ use qtracer::transport::estimators::Estimators;
 use qtracer::transport::items::{HitItem, RayItem, ShadowItem};
 use qtracer::transport::path::SHADOW_END;
 use qtracer::transport::roulette::{LEAST_SURVIVAL, ROULETTE_FROM_BOUNCE, Roulette};
+use qtracer::transport::split::{BUDGET_SHIFT, MAX_SPLIT, SEED_SHIFT};
 use qtracer::{Sampler, Scene};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -55,6 +56,11 @@ const LEARNING: [(GuideMode, Roulette); 7] = [
 
 fn learning((guide, roulette): (GuideMode, Roulette)) -> Estimators {
     Estimators { guide, roulette, ..usual() }
+}
+
+/// The guide with the most text and learnt roulette, which makes up to so many copies of a path.
+fn splitting(split: u32) -> Estimators {
+    Estimators { split, ..learning(LEARNING[2]) }
 }
 
 /// All linked kernels of a scene, by name and schedule.
@@ -110,9 +116,16 @@ fn every_stage_links_and_validates_for_every_kind_of_scene() {
                     if estimators.learns() && !few {
                         continue;
                     }
-                    let key = KernelKey::new(&compiled, &estimators);
-                    for (stage, schedule) in all_stages(&key) {
-                        validate(&link(stage, &key, schedule).unwrap());
+                    let splits = if roulette == Roulette::Learnt && few { 1..3 } else { 1..2 };
+                    for split in splits {
+                        let key = KernelKey::new(&compiled, &Estimators { split, ..estimators });
+                        // What only asks is what teaches, less some lines: enough to try it where paths split.
+                        let keys = if split > 1 { vec![key, key.frozen()] } else { vec![key] };
+                        for key in keys {
+                            for (stage, schedule) in all_stages(&key) {
+                                validate(&link(stage, &key, schedule).unwrap());
+                            }
+                        }
                     }
                 }
             }
@@ -185,6 +198,7 @@ fn structs_shared_with_the_kernels_have_equal_offsets_and_sizes() {
     kernels.extend(linked(&scene("many-lights"), &usual()));
     kernels.extend(linked(&scene("many-lights"), &learning(LEARNING[2])));
     kernels.extend(linked(&scene("furnace-open"), &learning(LEARNING[6])));
+    kernels.extend(linked(&scene("many-lights"), &splitting(4)));
     for (kernel, wgsl) in kernels {
         let module = validate(&wgsl);
         for (name, fields, size) in rust_layouts() {
@@ -248,11 +262,15 @@ fn constants_shared_with_the_kernels_are_equal() {
         ("OCTANT_DRAWS", f64::from(OCTANT_DRAWS)),
         ("BANSAL_DRAWS", f64::from(table::bansal::DRAWS)),
         ("LEAST_SURVIVAL", f64::from(LEAST_SURVIVAL)),
+        ("BUDGET_SHIFT", f64::from(BUDGET_SHIFT)),
+        ("SEED_SHIFT", f64::from(SEED_SHIFT)),
+        ("SPLIT", 5.0),
     ]
     .into();
     let mut seen = BTreeSet::new();
     let guided = LEARNING.into_iter().flat_map(|learnt| linked(&scene("bansal-room-1"), &learning(learnt)));
-    for (kernel, wgsl) in linked(&scene("bansal-room-1"), &usual()).into_iter().chain(guided) {
+    let split = linked(&scene("bansal-room-1"), &splitting(5));
+    for (kernel, wgsl) in linked(&scene("bansal-room-1"), &usual()).into_iter().chain(guided).chain(split) {
         for (name, value) in constants(&wgsl) {
             if let Some(rust) = expected.get(name.as_str()) {
                 assert_eq!(value, *rust, "{name} in {kernel}");
@@ -273,6 +291,8 @@ fn dimensions_of_all_events_of_a_path_are_different() {
     assert_eq!(dimensions.len(), (2 + 16) * 64 + 1);
     // An octant's draws and Bansal's stay within a bounce's numbers.
     const { assert!(OCTANT_DRAWS <= 16 && table::bansal::DRAWS <= 16) };
+    // Every place has a seed of its own, and bounces stay below the budget.
+    const { assert!(MAX_SPLIT <= 1 << (32 - SEED_SHIFT) && 64 < 1 << BUDGET_SHIFT) };
 }
 
 #[test]
@@ -374,6 +394,36 @@ fn without_guiding_nothing_of_it_is_linked() {
     assert!(kernels().any(|(kernel, _)| kernel.starts_with("learn")));
 }
 
+/// Without splitting nothing of it is in a kernel: no function, no number, no struct. Passes of `auto` that do without the
+/// table do without it, too.
+#[test]
+fn without_splitting_nothing_of_it_is_linked() {
+    let words = [
+        "Split",
+        "Share",
+        "SPLIT",
+        "COUNTER_PLACES",
+        "BUDGET_SHIFT",
+        "SEED_SHIFT",
+        "copies",
+        "budget",
+        "copy_of",
+    ];
+    let plain = Estimators { split: 8, ..usual() };
+    let scene = scene("bansal-room-1");
+    for estimators in [usual(), plain, splitting(1)] {
+        for (kernel, wgsl) in linked(&scene, &estimators) {
+            let found: Vec<_> = words.iter().filter(|word| wgsl.contains(**word)).collect();
+            assert!(found.is_empty(), "{kernel} holds {found:?} without splitting");
+        }
+    }
+    assert_eq!(linked(&scene, &usual()), linked(&scene, &plain));
+    // Negative control: with it, each of them is somewhere.
+    let text: String = linked(&scene, &splitting(8)).into_iter().map(|(_, wgsl)| wgsl).collect();
+    let missing: Vec<_> = words.iter().filter(|word| !text.contains(**word)).collect();
+    assert!(missing.is_empty(), "nowhere even with splitting: {missing:?}");
+}
+
 /// Each guide links its own densities only.
 #[test]
 fn a_guide_links_its_own_functions_only() {
@@ -402,7 +452,7 @@ fn a_guide_links_its_own_functions_only() {
 #[test]
 fn every_stage_of_every_scene_stays_within_what_browsers_grant() {
     // The guide that binds most, and the one with the most text.
-    let all = [usual(), learning(LEARNING[2]), learning(LEARNING[6])];
+    let all = [usual(), learning(LEARNING[2]), learning(LEARNING[6]), splitting(8)];
     for (name, estimators) in scene_names().iter().flat_map(|name| all.iter().map(move |e| (name, e))) {
         for (kernel, wgsl) in linked(&scene(name), estimators) {
             let module = validate(&wgsl);
@@ -517,6 +567,18 @@ fn buffers_exist_for_what_the_scene_needs_and_nothing_else() {
         assert_eq!(have.get("transitions").copied(), queue, "{schedule:?}");
         assert_eq!(have.get("shadows").copied(), queue.map(|bytes| 4 * bytes), "{schedule:?}");
     }
+
+    // Where paths split they have more places for radiance; rays are no larger, and there are no other buffers.
+    let learns = |split| {
+        let mut options = qtracer::RenderOptions { pool: Some(512), split, ..small(32, 32, 1) };
+        options.guide.mode = GuideMode::Adaptive;
+        render(&scene("cornell-box"), Engine::Wavefront(Schedule::Compacted), &options, 1).stats.buffers
+    };
+    let [whole, mut split] = [None, Some(4)].map(learns);
+    assert_eq!(whole["radiance"], split["radiance"], "a batch has fewer paths, and so no more places");
+    let smaller = split.insert("block_sums".to_string(), whole["block_sums"]);
+    assert!(smaller.is_some_and(|bytes| bytes < whole["block_sums"]));
+    assert_eq!(whole, split);
 
     // The fused schedule shades where it intersects.
     let (have, _) = buffers(&scene("cornell-box"), Schedule::Fused, true);

@@ -20,5 +20,6 @@ mod queues;
 mod recorded_levels;
 mod references;
 mod samplers;
+mod splitting;
 mod support;
 mod tables;

@@ -19,6 +19,7 @@ use qtracer::guiding::{GuideMode, LessonLayout, LessonSums, Lessons, Transition,
 use qtracer::scene::compiled::{CompiledScene, NONE, Uniforms};
 use qtracer::scene::rows;
 use qtracer::scene::shapes::{Ray, intersect, shape_info};
+use qtracer::transport::estimators::Estimators;
 use qtracer::transport::items::{HitItem, RayItem};
 use qtracer::transport::roulette::Roulette;
 use std::collections::BTreeSet;
@@ -40,8 +41,12 @@ impl Harness {
     }
 
     fn guided(stage: Stage, scene: &CompiledScene, schedule: Schedule, guide: GuideMode) -> Harness {
+        Harness::with(stage, scene, schedule, estimators(guide, Roulette::Throughput))
+    }
+
+    fn with(stage: Stage, scene: &CompiledScene, schedule: Schedule, estimators: Estimators) -> Harness {
         let gpu = open_gpu();
-        let key = KernelKey::new(scene, &estimators(guide, Roulette::Throughput));
+        let key = KernelKey::new(scene, &estimators);
         let kernel = gpu.kernel(&stage.name(), &link(stage, &key, schedule).unwrap()).unwrap();
         Harness { gpu, kernel, key }
     }
@@ -398,6 +403,48 @@ fn preparing_a_level_fills_the_pool_and_loses_no_path() {
             Ok(())
         })
         .unwrap();
+}
+
+/// Where paths split, fresh ones are admitted as far as there is room for all copies that those in flight and they may
+/// still become, and never further.
+#[test]
+fn preparing_a_level_leaves_room_for_every_copy() {
+    let compiled = CompiledScene::new(&scene("cornell-box"));
+    for split in [2, 5, 8] {
+        let estimators = Estimators { split, ..estimators(GuideMode::Adaptive, Roulette::Learnt) };
+        let harness = Harness::with(Stage::PrepareRays, &compiled, Schedule::Fused, estimators);
+        for (capacity, survivors, owned, paths, next, fresh) in [
+            (256, 0, 0, 1000, 0, 256 / split),
+            (256, 0, 0, 7, 3, 4),
+            (256, 20, 20, 1000, 100, 236 / split),
+            (256, 20, 20 * split, 1000, 100, (256 - 20 * split) / split),
+            (256, 250, 256, 1000, 100, 0),
+            (256, 256, 256, 1000, 1000, 0),
+            (1 << 22, 5, 8, 1 << 22, 0, ((1 << 22) - 8) / split),
+        ] {
+            let counters = harness.counters(&[
+                (Counter::Survivors, survivors),
+                (Counter::Places, owned),
+                (Counter::NextPath, next),
+            ]);
+            let arguments = vec![UNTOUCHED; argument_words(&harness.key) as usize];
+            let read = harness.run(
+                Uniforms { capacity, path_count: paths, ..Uniforms::zeroed() },
+                &[
+                    ("counters", bytemuck::cast_slice(&counters)),
+                    ("arguments", bytemuck::cast_slice(&arguments)),
+                ],
+                1,
+                &["counters"],
+            );
+            let after = words(&read[0]);
+            let counter = |c: Counter| after[c as usize];
+            assert!(owned + fresh * split <= capacity, "the test is wrong");
+            assert_eq!(counter(Counter::NextPath), next + fresh, "{split} {capacity} {survivors} {owned}");
+            assert_eq!(counter(Counter::Live), survivors + fresh);
+            assert_eq!((counter(Counter::Survivors), counter(Counter::Places)), (0, 0));
+        }
+    }
 }
 
 /// Transitions of every kind: few slots, so that sums carry; values beyond 32 bits; what is no radiance; points without a

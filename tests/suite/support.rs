@@ -83,6 +83,7 @@ pub fn estimators(guide: GuideMode, roulette: Roulette) -> Estimators {
         direct_light: true,
         roulette,
         roulette_scale: 1.0,
+        split: 1,
         sampler: Sampler::Stratified,
         max_bounces: 64,
         guide,
