@@ -16,8 +16,7 @@ pub fn dump(folder: &Path, scene: &Scene, options: &RenderOptions) -> Result<Str
     let key = KernelKey::new(&compiled, &options.estimators(scene));
     let schedule = options.schedule.unwrap_or_default();
     let megakernel = options.engine == EngineChoice::Auto
-        && preferred_engine(&compiled, &key, options.estimators(scene).max_bounces, options)
-            == EngineKind::Megakernel;
+        && preferred_engine(&compiled, &key, options) == EngineKind::Megakernel;
     let (stages, of) = match options.engine {
         EngineChoice::Megakernel => (Stage::megakernel(), "the megakernel engine"),
         EngineChoice::Auto if megakernel => (Stage::megakernel(), "the megakernel engine"),

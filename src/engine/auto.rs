@@ -4,28 +4,19 @@ use super::{EngineKind, RenderOptions};
 use crate::gpu::key::KernelKey;
 use crate::scene::compiled::CompiledScene;
 
-/// Shape tests per level up to which tracing costs less than carrying a ray through a queue and back (96 bytes).
-const FEW_TESTS: usize = 8;
-/// Levels up to which paths that sample no lights stay so alike that a megakernel loses little to divergence.
-const SHORT_PATHS: u32 = 8;
+/// Shape tests per level from which on the wavefront is faster: by then its queues' traffic hides behind them, and the
+/// megakernel loses more to invocations that wait for each other.
+const MANY_TESTS: usize = 64;
 
-/// The engine that is faster for this scene. A level costs the wavefront its memory traffic and the megakernel its
-/// divergence: with few shapes, or short paths without direct light, the megakernel ran 1.4 to 5.9 times as fast
-/// (bansal-exp-*, furnace-*, glass-caustic), elsewhere the wavefront's fused schedule 1.2 to 1.9 times (bansal-room-1,
-/// cornell-box, glossy-box, many-lights, door-ajar).
+/// The engine that is faster for this scene: the megakernel up to some 30 shapes (1.07 to 5 times as fast as the fused
+/// schedule on the shipped scenes), beyond that the wavefront (door-ajar 1.16 times, many-lights 1.03 times as fast).
 ///
 /// Options that only the wavefront knows imply it.
-pub fn preferred_engine(
-    scene: &CompiledScene,
-    key: &KernelKey,
-    max_bounces: u32,
-    options: &RenderOptions,
-) -> EngineKind {
+pub fn preferred_engine(scene: &CompiledScene, key: &KernelKey, options: &RenderOptions) -> EngineKind {
     if options.schedule.is_some() || options.pool.is_some() {
         return EngineKind::Wavefront;
     }
     let shapes = scene.spheres.len() + scene.quads.len();
     let tests = shapes * if key.direct_light { 2 } else { 1 };
-    let short = !key.direct_light && max_bounces <= SHORT_PATHS;
-    if tests <= FEW_TESTS || short { EngineKind::Megakernel } else { EngineKind::Wavefront }
+    if tests < MANY_TESTS { EngineKind::Megakernel } else { EngineKind::Wavefront }
 }

@@ -226,7 +226,7 @@ fn build_engine(
         EngineChoice::Wavefront => on_gpu(Gpu::open(adapter)?, EngineKind::Wavefront),
         EngineChoice::Auto => match Gpu::open(adapter) {
             Ok(gpu) if !gpu.summary.software || adapter.is_some() => {
-                on_gpu(gpu, preferred_engine(compiled, &key, estimators.max_bounces, options))
+                on_gpu(gpu, preferred_engine(compiled, &key, options))
             }
             Ok(gpu) => {
                 let name = &gpu.summary.name;

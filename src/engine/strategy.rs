@@ -257,7 +257,7 @@ mod tests {
     #[test]
     fn a_guide_in_doubt_is_tried_twice() {
         // An informed ray costs about twice a plain one here.
-        for (informed, kept) in [(60.0, false), (40.0, true)] {
+        for (informed, kept) in [(52.0, false), (40.0, true)] {
             let passes = passes(planner(true, Sampler::Independent), informed, 100.0);
             let trials: Vec<u32> = passes.iter().filter(|pass| pass.trial).map(|pass| pass.end).collect();
             let twice = trials.len() == 2;
