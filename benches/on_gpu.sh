@@ -1,14 +1,17 @@
 #!/usr/bin/env bash
-# Everything that issue-by-issue claims about a GPU rest on, in one session: times, identity of the engines, z-tests.
+# What docs/PERFORMANCE.md says of a GPU, in one session: times, identity of the engines, z-tests, growth with work, start-up.
 #   cargo build --release && cargo bench --no-run --bench engine_times
 #   QTRACER=target/release/qtracer ENGINE_TIMES=target/release/deps/engine_times-HASH \
-#   REFERENCES=DIR_WITH_MITSUBA_EXR OUT=benches/results/DATE-DEVICE benches/on_gpu.sh [times|identity|references]…
+#   REFERENCES=DIR_WITH_MITSUBA_EXR OUT=benches/results/DATE-DEVICE benches/on_gpu.sh [times|identity|references|growth|startup]…
 set -u
 : "${QTRACER:?}" "${ENGINE_TIMES:?}" "${OUT:?}"
-parts=${*:-times identity references}
+parts=${*:-times identity references growth startup}
 mkdir -p "$OUT"
 scratch=$(mktemp -d)
 "$QTRACER" info | tee "$OUT/device.txt"
+
+# A value of --stats json.
+stat() { python3 -c 'import json,sys; d=json.load(sys.stdin); print(*[d[k] if k != "buffers" else sum(d[k].values()) for k in sys.argv[1:]])' "$@"; }
 
 times() {
   local rows="$OUT/rows.jsonl" plain="--direct-light false --roulette false"
@@ -25,10 +28,13 @@ times() {
     echo; echo "### Direct light with MIS, 64 levels, no roulette, 640x480, 64 samples"
     "$ENGINE_TIMES" --scene scenes/{bansal-room-1,bansal-room-5,cornell-box,door-ajar}.toml --size 640 480 \
       --max-bounces 64 --direct-light true --roulette false --json "$rows"
-    echo; echo "### Every scene as it is shipped, stratified, 640x480, 64 samples"
+    echo; echo "### Many materials, long paths: direct light, 64 levels, no roulette, 640x480, 64 samples"
+    "$ENGINE_TIMES" --scene scenes/glass-shelf.toml --size 640 480 --max-bounces 64 --direct-light true --roulette false --json "$rows"
+    echo; echo "### Every scene as it is shipped, stratified, 640x480, 64 samples; and what auto takes"
     # A process per scene: NVIDIA's driver hands out no adapter any more after some 35 devices in one process.
     for scene in scenes/*.toml; do
-      "$ENGINE_TIMES" --scene "$scene" --size 640 480 --stratified --repetitions 5 --json "$rows" | tail -n 4
+      "$ENGINE_TIMES" --scene "$scene" --size 640 480 --stratified --repetitions 5 --engines mega,fused --json "$rows" | tail -n 2
+      echo "auto: $("$QTRACER" render "$scene" --size 64x48 --spp 1 -q --no-features --stats json -o "$scratch/auto.exr" 2>/dev/null | stat engine)"
     done
   } | tee "$OUT/times.md"
 }
@@ -42,10 +48,10 @@ identity() {
     "$QTRACER" render "$scene" $common --engine megakernel -o "$scratch/mega.exr" 2>/dev/null || row+=" megakernel failed"
     for schedule in fused streamed compacted; do
       "$QTRACER" render "$scene" $common --engine wavefront --schedule $schedule -o "$scratch/w.exr" 2>/dev/null
-      row+=" $("$QTRACER" compare "$scratch/w.exr" "$scratch/mega.exr" --json | python3 -c 'import json,sys; print(json.load(sys.stdin)["differences"]["max_absolute"])') |"
+      row+=" $("$QTRACER" compare "$scratch/w.exr" "$scratch/mega.exr" --json 2>/dev/null | python3 -c 'import json,sys; print(json.load(sys.stdin)["differences"]["max_absolute"])') |"
     done
     "$QTRACER" render "$scene" $common --engine cpu -o "$scratch/c.exr" 2>/dev/null
-    row+=$("$QTRACER" compare "$scratch/c.exr" "$scratch/mega.exr" --json | python3 -c 'import json,sys; d=json.load(sys.stdin)["differences"]; print(" %.3g | %.2f %% |" % (d["max_absolute"], 100*d["share_within_1e3"]))')
+    row+=$("$QTRACER" compare "$scratch/c.exr" "$scratch/mega.exr" --json 2>/dev/null | python3 -c 'import json,sys; d=json.load(sys.stdin)["differences"]; print(" %.3g | %.2f %% |" % (d["max_absolute"], 100*d["share_within_1e3"]))')
     echo "$row"
   done | tee "$OUT/identity.md"
 }
@@ -61,6 +67,32 @@ references() {
       "$QTRACER" compare "$scratch/ours.exr" "$reference" --z-test 2>/dev/null; echo "exit $?"; echo
     done
   done | tee "$OUT/references.md"
+}
+
+growth() { # time and memory against samples and pixels
+  local row
+  row() { echo "| $1 | $2 | $("$QTRACER" render scenes/$1.toml --size "$2" --spp "$3" --engine "$4" --seed 3 -q --no-features --stats json -o "$scratch/g.exr" 2>/dev/null |
+    python3 -c 'import json,sys; d=json.load(sys.stdin); n=d["paths"]; print(d["samples"], "|", d["engine"], "|", "%.1f" % (1e3*d["gpu_seconds"]), "|", "%.4f" % (1e9*d["gpu_seconds"]/n), "|", "%.1f" % (sum(d["buffers"].values())/2**20))') |"; }
+  {
+    echo "| scene | pixels | samples | engine | GPU ms | ns a sample | MiB of buffers |"; echo "|---|---|---|---|---|---|---|"
+    for engine in megakernel wavefront; do
+      for spp in 16 64 256 1024; do row cornell-box 640x480 $spp $engine; done
+      for size in 1280x960 2560x1920 3264x2448; do row cornell-box $size 64 $engine; done
+    done
+  } | tee "$OUT/growth.md"
+}
+
+startup() { # from the start of the process to ready kernels, and to the end of a render of one sample
+  {
+    echo "| scene | engine | kernels ready after, ms | process, ms |"; echo "|---|---|---|---|"
+    for run in 1 2 3; do
+      for pair in cornell-box:megakernel door-ajar:wavefront bansal-room-1:wavefront; do
+        local begin end ready; begin=$(date +%s%N)
+        ready=$("$QTRACER" render "scenes/${pair%:*}.toml" --spp 1 --engine "${pair#*:}" -q --no-features --stats json -o "$scratch/s.exr" 2>/dev/null | stat preparation_seconds)
+        end=$(date +%s%N); echo "| ${pair%:*} | ${pair#*:} | $(python3 -c "print(round(1e3*$ready))") | $(((end - begin) / 1000000)) |"
+      done
+    done
+  } | tee "$OUT/startup.md"
 }
 
 for part in $parts; do $part; done
