@@ -44,6 +44,8 @@ const FIRST_LEVELS: u32 = 2;
 const MOST_LEVELS: u32 = 8;
 /// Paths after which an invocation of the megakernel has smoothed their lengths out.
 const MOST_PATHS: u32 = 16;
+/// Mean length, as a share of the longest, above which paths are much alike.
+const MOST_ALIKE: f64 = 0.8;
 /// Invocations that fill a large GPU; below, more paths for each would leave parts of it idle.
 const INVOCATIONS: u32 = 1 << 18;
 
@@ -73,7 +75,7 @@ impl PathLengths {
     /// one path each wait for the longest of their subgroup; where nearly all run to the last level, they stay in step,
     /// which is worth keeping.
     pub fn paths_at_once(&self, count: u32, max_bounces: u32) -> u32 {
-        let differ = self.mean().is_some_and(|mean| mean < 0.7 * f64::from(max_bounces));
+        let differ = self.mean().is_some_and(|mean| mean < MOST_ALIKE * f64::from(max_bounces));
         if differ { (count / INVOCATIONS).clamp(1, MOST_PATHS) } else { 1 }
     }
 }
