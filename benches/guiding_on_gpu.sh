@@ -4,7 +4,7 @@
 # table and a page.
 #   cargo build --release && cargo bench --no-run --bench speed_vs_error
 #   QTRACER=target/release/qtracer SPEED_VS_ERROR=target/release/deps/speed_vs_error-HASH \
-#   REFERENCES=DIR_WITH_MITSUBA_EXR OUT=benches/results/DATE-DEVICE benches/guiding_on_gpu.sh [door|seed5|indirect|equal|references|scenes|long]…
+#   REFERENCES=DIR_WITH_MITSUBA_EXR OUT=benches/results/DATE-DEVICE benches/guiding_on_gpu.sh [door-main|door|seed5-main|seed5|indirect|equal|references|scenes|long]…
 set -u
 : "${QTRACER:?}" "${SPEED_VS_ERROR:?}" "${OUT:?}"
 parts=${*:-door seed5 indirect equal references scenes long}
@@ -15,23 +15,25 @@ scratch=$(mktemp -d)
 # efficiency PART SCENE SEEDS SECONDS VARIANT… [--OPTION…]: rows, table and page in OUT/PART; errors by the scatter between seeds.
 efficiency() {
   local part=$1 scene=$2 seeds=$3 seconds=$4; shift 4
-  "$SPEED_VS_ERROR" --engines wavefront --scenes "scenes/$scene.toml" --size 640 480 --no-reference --seeds "$seeds" \
+  "$SPEED_VS_ERROR" --engines auto --scenes "scenes/$scene.toml" --size 640 480 --no-reference --seeds "$seeds" \
     --seconds "$seconds" --title "Guiding: $part" --out "$OUT/$part" --variants "$@" > "$OUT/$part.log"
 }
 
+door-main() { efficiency door door-ajar 10 1,4 auto off:throughput:16 --epsilon 1e-4; }
 door() {
-  efficiency door door-ajar 10 1,4 auto off:throughput:16 --epsilon 1e-4
+  door-main
   efficiency door-1s door-ajar 5 1 off:throughput:1 off:throughput:4 off:off off:learnt adaptive octant --epsilon 1e-4
 }
+seed5-main() { efficiency seed5 bansal-room-5 5 1,4 auto adaptive off:throughput:4; }
 seed5() {
-  efficiency seed5 bansal-room-5 10 4 auto off:throughput:4
+  seed5-main
   efficiency seed5-1s bansal-room-5 3 1 auto off:throughput:1 off:throughput:4 off:throughput:16 off:off off:learnt adaptive octant
 }
 indirect() { # no direct light
   efficiency indirect door-ajar 2 4 auto off:throughput:4 off:throughput:16 --epsilon 1e-4 --direct-light off
 }
 equal() { # equal samples, no roulette, learning included
-  "$SPEED_VS_ERROR" --engines wavefront --scenes scenes/door-ajar.toml --size 128 128 --no-reference --seeds 10 --spp 1024 \
+  "$SPEED_VS_ERROR" --engines auto --scenes scenes/door-ajar.toml --size 128 128 --no-reference --seeds 10 --spp 1024 \
     --epsilon 1e-4 --title "Guiding: equal samples" --out "$OUT/equal" --variants adaptive:off octant:off off:off > "$OUT/equal.log"
 }
 references() {
