@@ -15,7 +15,7 @@ pub enum Schedule {
     Compacted,
     /// A kernel per material; survivors are pushed straight into the next dense queue.
     Streamed,
-    /// One kernel per level: intersection, shading and shadow test fused, survivors streamed.
+    /// One kernel for whole levels (intersection, shading and shadow test fused), some in a row; survivors streamed.
     #[default]
     Fused,
 }

@@ -8,7 +8,7 @@ use glam::{Vec2, Vec3, Vec4};
 use std::f32::consts::{FRAC_1_PI, FRAC_2_PI};
 
 gpu_struct! {
-    /// Numbers of the guide for one pass; one uniform buffer.
+    /// Numbers of the guide for one pass; a storage buffer (docs/DECISIONS.md).
     pub struct GuideUniforms {
         /// Lower corner of the grid of base cells.
         origin: Vec3,

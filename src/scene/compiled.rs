@@ -126,8 +126,8 @@ pub struct CompiledScene {
 }
 
 /// Bytes of what every ray reads of the shapes up to which it may as well ask them all: they lie in a cache of about 2 KiB, and
-/// loops over them unroll. Measured on an H100 with the fused schedule: 2,240 B (door) take 0.62 of the time that the
-/// hierarchy takes, 5.5 KB (many-lights) 1.46 times as long.
+/// loops over them unroll. Measured on an H100 with the fused schedule: 2,080 B (door) take 0.62 of the time that the
+/// hierarchy takes, 4.6 KB (many-lights) 1.46 times as long.
 const SMALL_SHAPES: usize = 2560;
 
 impl CompiledScene {
