@@ -48,7 +48,7 @@ impl MegakernelEngine {
             return u32::MAX;
         }
         let shapes = self.gpu.uniforms.sphere_count + self.gpu.uniforms.quad_count;
-        let paths = SOFTWARE_TURNS / (max_bounces * (2 * shapes + 1));
+        let paths = SOFTWARE_TURNS / (max_bounces * self.gpu.key.places * (2 * shapes + 1));
         1 + paths.saturating_sub(1) / (WORKGROUP / 8)
     }
 }

@@ -139,7 +139,9 @@ impl WavefrontEngine {
     fn most_levels(&self, batch: &Batch) -> u32 {
         let paths = self.gpu.uniforms.capacity / self.gpu.key.places;
         let fillings = batch.paths().div_ceil(paths) + 1;
-        fillings * (self.gpu.uniforms.max_bounces + 1) + 4
+        // Copies wait a level at each split on their way, which at least halves the places that they own.
+        let waits = self.gpu.key.places.next_power_of_two().ilog2();
+        fillings * (self.gpu.uniforms.max_bounces + waits + 1) + 4
     }
 
     /// Submits `count` levels, the first of which is number `first`, and reads the counters behind them.
@@ -242,7 +244,8 @@ impl Tracer for WavefrontEngine {
             let counter = |c: Counter| counters[c as usize];
             let flying =
                 counter(Counter::Survivors) + counter(Counter::Shadows) + counter(Counter::Transitions);
-            let ended = counter(Counter::NextPath) - counter(Counter::Survivors);
+            // At least so many: where paths split, several survivors may be of one.
+            let ended = counter(Counter::NextPath).saturating_sub(counter(Counter::Survivors));
             self.lengths.observe(u64::from(counter(Counter::Rays)), u64::from(ended));
             if flying == 0 && counter(Counter::NextPath) == batch.paths() {
                 break;

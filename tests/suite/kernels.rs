@@ -291,8 +291,9 @@ fn dimensions_of_all_events_of_a_path_are_different() {
     assert_eq!(dimensions.len(), (2 + 16) * 64 + 1);
     // An octant's draws and Bansal's stay within a bounce's numbers.
     const { assert!(OCTANT_DRAWS <= 16 && table::bansal::DRAWS <= 16) };
-    // Every place has a seed of its own, and bounces stay below the budget.
+    // Every place has a seed of its own, bounces stay below the budget, and budgets below the bit that says who waits.
     const { assert!(MAX_SPLIT <= 1 << (32 - SEED_SHIFT) && 64 < 1 << BUDGET_SHIFT) };
+    const { assert!(MAX_SPLIT << BUDGET_SHIFT < 1 << 31) };
 }
 
 #[test]
@@ -407,7 +408,8 @@ fn without_splitting_nothing_of_it_is_linked() {
         "SEED_SHIFT",
         "copies",
         "budget",
-        "copy_of",
+        "waiting_copy",
+        "WAITING",
     ];
     let plain = Estimators { split: 8, ..usual() };
     let scene = scene("bansal-room-1");

@@ -67,6 +67,26 @@ fn schedules_and_megakernel_split_alike() {
     }
 }
 
+/// Levels of a path at once, or paths of an invocation, change neither the image nor the rays that are counted, wherever a
+/// path splits among them.
+#[test]
+fn the_grain_does_not_change_what_splits() {
+    let scene = scene("bansal-room-1");
+    let options = splitting(GuideMode::Adaptive, 8, 2.5, 11);
+    for engine in [Engine::Wavefront(Schedule::Fused), Engine::Megakernel] {
+        let [one, three, many] = [1, 3, 16].map(|grain| {
+            let options = RenderOptions { grain: Some(grain), max_bounces: Some(10), ..options.clone() };
+            render(&scene, engine, &options, 30)
+        });
+        for other in [&three, &many] {
+            assert_eq!(differing_pixels(&one.film, &other.film), 0, "{engine:?}");
+            assert_eq!(one.stats.rays, other.stats.rays, "{engine:?}");
+        }
+        let fewer = three.stats.iterations < one.stats.iterations;
+        assert_eq!(fewer, engine != Engine::Megakernel, "levels at once take fewer turns");
+    }
+}
+
 #[test]
 fn cpu_and_gpu_split_alike() {
     let scene = scene("cornell-box");
