@@ -208,7 +208,7 @@ fn rays_leave_spheres(batches: u64) {
     println!("{left:?}");
     assert!(u64::from(left.outwards.min(left.inwards)) > batches * BATCH as u64 / 3);
     assert_eq!(left.wrong, 0, "{left:?}");
-    assert!(left.worst_residual < 0.5 && left.worst_point < 0.25 && left.worst_height < 0.5, "{left:?}");
+    assert!(left.worst_residual < 0.5 && left.worst_point < 0.5 && left.worst_height < 0.5, "{left:?}");
     // Negative control: without an offset, and with a sixteenth of it, rays are lost.
     for scale in [0.0, 1.0 / 16.0] {
         let mut lost = Left::default();
@@ -239,8 +239,8 @@ struct Found {
     worst_residual: f64,
     /// Worst relative error of the distance from two radii and farther, where the ray passes the centre within 0.9 radii.
     worst_from_afar: f64,
-    /// Error of the distance from nearby, refined and before, in roundings of the radius, for cosines above 0.3: the worst,
-    /// and the sum.
+    /// Error of distances of which b ± root cancels half or more, refined and before, in roundings of the radius, for cosines
+    /// above 0.3: the worst, and the sum.
     worst_from_nearby: [f64; 2],
     sum_from_nearby: [f64; 2],
     nearby: u32,
@@ -251,8 +251,9 @@ const SPHERE_BOUND: f64 = 8.0;
 
 fn seen_ray(numbers: &mut Numbers, sphere: &Sphere) -> (Vec3, Vec3) {
     let (center, radius) = (sphere.center.as_dvec3(), f64::from(sphere.radius));
-    let away = match numbers.below(4) {
+    let away = match numbers.below(5) {
         0 => numbers.between(0.0, 1.0),
+        4 => 1.0 - numbers.of_any_size(1e-6, 1.0),
         1 => 1.0 + numbers.of_any_size(1e-6, 1.0),
         2 => numbers.of_any_size(2.0, 1e3),
         _ => numbers.of_any_size(1e3, 1e7),
@@ -317,7 +318,12 @@ impl Found {
         if distance > 2.0 * radius && pass < 0.9 {
             self.worst_from_afar = self.worst_from_afar.max(error(t) / exact);
         }
-        if (1.0..2.0).contains(&(distance / radius)) && pass < 0.95 && middle > 0.0 {
+        if exact > 0.0
+            && exact < 0.5 * (middle.abs() + half)
+            && distance < 2.0 * radius
+            && (distance - radius).abs() > slack
+            && pass < 0.95
+        {
             self.nearby += 1;
             for (i, t) in [t, raw].into_iter().enumerate() {
                 let roundings = error(t) / (ROUNDING * radius);
@@ -519,7 +525,7 @@ fn rectangles_along_axes_are_met_as_other_quads_are() {
     assert!(aligned.hits > 200_000 && aligned.parallel > 100_000, "{aligned:?}");
     assert_eq!([aligned.impossible, aligned.unlike, aligned.other_nearest], [0; 3], "{aligned:?}");
     assert!(aligned.worst_ulps <= 2 && aligned.worst_error <= 4.0, "{aligned:?}");
-    assert!(aligned.at_edges < aligned.hits / 100, "{aligned:?}");
+    assert!(aligned.at_edges < aligned.hits / 10, "{aligned:?}");
     // Negative controls: a side, or a level, off by a ten thousandth.
     let scaled = |word: usize| {
         move |hot: &mut [Row]| {
@@ -601,6 +607,33 @@ fn place(numbers: &mut Numbers, scene: &CompiledScene) -> DVec3 {
     }
 }
 
+/// A ray that grazes a shape: the edge of a sphere as seen along it, or a quad's plane, by 1e-8 to 1e-3 of the size. Directions
+/// have components of any size.
+fn grazing(numbers: &mut Numbers, scene: &CompiledScene) -> (DVec3, DVec3) {
+    let mut small = || numbers.sign() * numbers.of_any_size(1e-8, 1e-3);
+    let (by, along) = (small(), DVec3::new(small(), small(), small()) * 1e3);
+    let i = numbers.below(scene.spheres.len() + scene.quads.len());
+    match scene.quad_index(i as u32) {
+        None => {
+            let Sphere { center, radius, .. } = scene.spheres[i];
+            let direction = along.normalize();
+            // As far out as it goes along an axis, or any edge.
+            let out = match numbers.below(2) {
+                0 => DVec3::AXES[numbers.below(3)].reject_from_normalized(direction),
+                _ => tangent(numbers, direction),
+            };
+            (center.as_dvec3() + out.normalize() * f64::from(radius) * (1.0 + by), direction)
+        }
+        Some(i) => {
+            let Quad { corner, e1, e2, normal, .. } = scene.quads[i];
+            let [corner, e1, e2, normal] = [corner, e1, e2, normal].map(|v| v.as_dvec3());
+            let target =
+                corner + e1 * numbers.between(-0.01, 1.01) + e2 * [by.abs(), 1.0 + by][numbers.below(2)];
+            (target, (e1 * along.x + e2 * along.y).normalize() + normal * by)
+        }
+    }
+}
+
 /// A ray through a scene of size 10 from a distance of up to `farthest`, and a question about shadows: `[ray's origin and how
 /// far as a multiple of the hit's distance, direction and the shape left out]`.
 fn ray_through(numbers: &mut Numbers, scene: &CompiledScene, farthest: f64) -> [Row; 2] {
@@ -610,12 +643,17 @@ fn ray_through(numbers: &mut Numbers, scene: &CompiledScene, farthest: f64) -> [
         1 => numbers.in_box(12.0),
         _ => target + numbers.direction() * numbers.of_any_size(1e-3, farthest),
     };
-    let origin = origin.as_vec3();
+    let mut origin = origin.as_vec3();
     let mut direction = target - origin.as_dvec3();
-    if numbers.below(3) == 0 || direction.length() < 1e-6 {
+    let grazes = numbers.below(4) == 0;
+    if grazes {
+        let (target, along) = grazing(numbers, scene);
+        direction = along;
+        origin = (target - along * numbers.of_any_size(1e-3, farthest)).as_vec3();
+    } else if numbers.below(3) == 0 || direction.length() < 1e-6 {
         direction = numbers.direction();
     }
-    for _ in 0..[0, 0, 1, 2][numbers.below(4)] {
+    for _ in 0..[0, 0, 1, 2][if grazes { 0 } else { numbers.below(4) }] {
         direction[numbers.below(3)] = 0.0f64.copysign(numbers.sign());
     }
     let direction = if direction == DVec3::ZERO { DVec3::X } else { direction };
@@ -661,7 +699,7 @@ fn walked(gpu: &Gpu, seed: u64, farthest: f64, change: impl Fn(&mut Bvh)) -> [us
     if let Some(&i) = different.first() {
         let [a, b] = questions[i].map(floats);
         println!(
-            "seed {seed}: {} differ, such as {a:?} {b:?}: {:?} for {:?}",
+            "seed {seed} ({spheres} spheres): {} differ, such as {a:?} {b:?}: {:?} for {:?}",
             different.len(),
             by_walk[i],
             by_all[i]
@@ -671,20 +709,26 @@ fn walked(gpu: &Gpu, seed: u64, farthest: f64, change: impl Fn(&mut Bvh)) -> [us
 }
 
 /// The hierarchy finds the shape and the distance that asking all finds, to the bit, and the same shadows: in scenes of 50 to
-/// 500 spheres and quads, from within and from up to 1e5 times their size away.
-#[test]
-fn the_hierarchy_finds_what_asking_all_finds_to_the_bit() {
-    let gpu = open_gpu();
+/// 500 spheres and quads, from within and from up to 1e5 times their size away. How many rays do not?
+fn differing_from_the_hierarchy(gpu: &Gpu, seeds: std::ops::Range<u64>) -> usize {
     let mut total = [0; 4];
-    for seed in 0..24 {
+    for seed in seeds {
         let farthest = [30.0, 3e3, 1e6][seed as usize % 3];
-        let counts = walked(&gpu, 500 + seed, farthest, |_| ());
+        let counts = walked(gpu, seed, farthest, |_| ());
         total = std::array::from_fn(|k| total[k] + counts[k]);
     }
     println!("{total:?}");
     let [rays, hits, shadows, different] = total;
     assert!(hits > rays / 2 && shadows > rays / 10, "{total:?}");
-    assert_eq!(different, 0, "{total:?}");
+    different
+}
+
+#[test]
+fn the_hierarchy_finds_what_asking_all_finds_to_the_bit() {
+    let gpu = open_gpu();
+    assert_eq!(differing_from_the_hierarchy(&gpu, 500..548), 0);
+    // Has a ray that met the wrong one of two shapes with FAR_SIDE = 1.0000005.
+    assert_eq!(walked(&gpu, 889, 1e6, |_| ())[3], 0);
     // Negative control: boxes smaller by one per cent.
     let shrunk = |bvh: &mut Bvh| {
         for rows in bvh.rows.chunks_mut(NODE_ROWS / 2) {
@@ -695,4 +739,10 @@ fn the_hierarchy_finds_what_asking_all_finds_to_the_bit() {
         }
     };
     assert!(walked(&gpu, 500, 30.0, shrunk)[3] > 100);
+}
+
+#[test]
+#[ignore = "long: 16 million rays at 480 scenes; tests/run --long"]
+fn the_hierarchy_finds_what_asking_all_finds_in_480_scenes() {
+    assert_eq!(differing_from_the_hierarchy(&open_gpu(), 500..980), 0);
 }
