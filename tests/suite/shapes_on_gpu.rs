@@ -739,8 +739,8 @@ fn the_hierarchy_finds_what_asking_all_finds_to_the_bit() {
     assert!(walked(&gpu, 500, 30.0, shrunk)[3] > 100);
 }
 
-/// One in a million: from 9000 scene sizes away a quad was once met where the ray passes outside its box, since the general
-/// test of quads is off by a rounding of that length at their edges, and boxes have less margin to the sides.
+/// One in a million may differ: from thousands of scene sizes away quads are now and then met where a ray passes beside their
+/// box. docs/ACCURACY.md
 #[test]
 #[ignore = "long: 16 million rays at 480 scenes; tests/run --long"]
 fn the_hierarchy_finds_what_asking_all_finds_in_480_scenes_but_for_one_ray_in_a_million() {
