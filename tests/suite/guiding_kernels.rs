@@ -1,7 +1,7 @@
-//! The guide's kernels against their twins in Rust: small kernels, linked from the program's own modules, evaluate arrays
-//! of points and directions on the adapter under test.
+//! The guide's kernels against their twins in Rust, evaluated at arrays of points and directions on the adapter under test.
 
 use crate::guiding_maths::{anything, cases, finite, normal, vector};
+use crate::probe::{Probe, row};
 use crate::samplers::{ALPHA, Cells, WRONG};
 use crate::support::{estimators, open_gpu, scene};
 use crate::tables::*;
@@ -11,12 +11,8 @@ use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
 use qtracer::Sampler;
 use qtracer::accel::ShapeLanes;
-use qtracer::gpu::buffers::Buffers;
 use qtracer::gpu::device::Gpu;
-use qtracer::gpu::kernel::Kernel;
 use qtracer::gpu::key::KernelKey;
-use qtracer::gpu::link::{MODULES, link_modules};
-use qtracer::gpu::stage::{Schedule, Stage, WORKGROUP};
 use qtracer::guiding::octant::{octant_of, octant_share, octant_shares};
 use qtracer::guiding::quadtree::{MAX_DEPTH, octant_coordinates};
 use qtracer::guiding::table::{CellPlace, NO_CELL, adaptive, octants};
@@ -29,73 +25,28 @@ use qtracer::transport::path::Transport;
 use qtracer::transport::roulette::Roulette;
 use wgpu::BufferUsages;
 
-/// A kernel of one invocation per item: `body` sees its two rows of words as `a` and `b` and leaves its answer in `out`.
-fn probe(imports: &str, body: &str) -> String {
-    format!(
-        "{imports}
-        import package::key::WORKGROUP;
-        @group(0) @binding(0) var<storage, read> questions: array<vec4<u32>>;
-        @group(0) @binding(1) var<storage, read_write> answers: array<vec4<u32>>;
-        @compute @workgroup_size(WORKGROUP)
-        fn probe_stage(@builtin(global_invocation_id) id: vec3<u32>) {{
-            if id.x >= arrayLength(&answers) {{ return; }}
-            let a = questions[2u * id.x];
-            let b = questions[2u * id.x + 1u];
-            var out = vec4<u32>(0u);
-            {body}
-            answers[id.x] = out;
-        }}"
-    )
-}
-
 /// Two rows of words: a question to a kernel.
 type Question = [[u32; 4]; 2];
 
 fn question(a: Vec3, word: u32, b: Vec3) -> Question {
-    let bits = |v: Vec3, w: u32| [v.x.to_bits(), v.y.to_bits(), v.z.to_bits(), w];
-    [bits(a, word), bits(b, 0)]
+    [row(a, word), row(b, 0)]
 }
 
-/// Runs a kernel in place of the `resolve` stage, which has no queues, on a table.
+/// Answers of a kernel of these imports and this body on a table.
 fn ask(
     gpu: &Gpu,
     mode: GuideMode,
-    kernel: &str,
+    (imports, body): (&str, &str),
     table: &GuideTable,
     questions: &[Question],
 ) -> Vec<[u32; 4]> {
     let estimators = Estimators { sampler: Sampler::Independent, ..estimators(mode, Roulette::Throughput) };
     let key = KernelKey::new(&CompiledScene::new(&scene("cornell-box")), &estimators);
-    let text = |&(name, text): &(&'static str, &'static str)| match name {
-        "stages/resolve" => (name, kernel.to_string()),
-        _ => (name, text.to_string()),
-    };
-    let modules: Vec<(&str, String)> = MODULES.iter().map(text).collect();
-    let modules: Vec<(&str, &str)> = modules.iter().map(|(name, text)| (*name, text.as_str())).collect();
-    let wgsl = link_modules(&modules, Stage::Resolve, &key, Schedule::Fused).unwrap();
-    let kernel: Kernel = gpu.kernel("probe", &wgsl).unwrap_or_else(|e| panic!("{e}\n{wgsl}"));
-    let mut buffers = Buffers::default();
-    let answers = vec![[0u32; 4]; questions.len()];
-    let storage = BufferUsages::STORAGE | BufferUsages::COPY_SRC;
-    for (name, bytes, usage) in [
-        ("questions", bytemuck::cast_slice(questions), storage),
-        ("answers", bytemuck::cast_slice(&answers), storage),
-        ("guide_rows", bytemuck::cast_slice(&table.rows), storage),
-        ("guide", bytemuck::bytes_of(&table.uniforms), storage),
-    ] {
-        buffers.upload(gpu, name, bytes, usage).unwrap();
-    }
-    let bind = kernel.bind(gpu, &buffers, &[]);
-    let mut encoder = gpu.device.create_command_encoder(&Default::default());
-    {
-        let mut pass = encoder.begin_compute_pass(&Default::default());
-        pass.set_pipeline(&kernel.pipeline);
-        pass.set_bind_group(0, &bind, &[]);
-        pass.dispatch_workgroups((questions.len() as u32).div_ceil(WORKGROUP), 1, 1);
-    }
-    gpu.queue.submit([encoder.finish()]);
-    let read = gpu.read(&[(buffers.get("answers"), 16 * questions.len() as u64)]).unwrap();
-    bytemuck::pod_collect_to_vec(&read[0])
+    let inputs = [
+        ("guide_rows", bytemuck::cast_slice(&table.rows), BufferUsages::STORAGE),
+        ("guide", bytemuck::bytes_of(&table.uniforms), BufferUsages::STORAGE),
+    ];
+    Probe::<2, 1>::new(gpu, &key, imports, body).ask(gpu, &inputs, questions).into_iter().flatten().collect()
 }
 
 /// The first `count` values of a strategy, the same in every run.
@@ -112,7 +63,7 @@ fn flushed(v: Vec3) -> Vec3 {
 const PLACE: &str = "
     let normal = bitcast<vec3<f32>>(b.xyz);
     let place = place_in_table(bitcast<vec3<f32>>(a.xyz), normal);
-    out = vec4<u32>(place.cell, place.base, place.eighth, octant_of(normal));";
+    out0 = vec4<u32>(place.cell, place.base, place.eighth, octant_of(normal));";
 
 /// The answer to [`PLACE`] in Rust.
 fn place_and_octant(table: &GuideTable, position: Vec3, normal: Vec3) -> [u32; 4] {
@@ -124,7 +75,7 @@ fn place_and_octant(table: &GuideTable, position: Vec3, normal: Vec3) -> [u32; 4
 #[test]
 fn points_have_the_same_cell_on_the_gpu() {
     let gpu = open_gpu();
-    let kernel = probe(
+    let kernel = (
         "import package::guiding::octant::octant_of;\nimport package::guiding::table::place_in_table;",
         PLACE,
     );
@@ -134,7 +85,7 @@ fn points_have_the_same_cell_on_the_gpu() {
         points.extend(drawn((vector(finite()), normal()), 20_000));
         points.extend((0..40_000).map(|i| (surface_point(5, i).0, uniform_direction(6, i))));
         let questions: Vec<Question> = points.iter().map(|(p, n)| question(*p, 0, *n)).collect();
-        let answers = ask(&gpu, mode, &kernel, &table, &questions);
+        let answers = ask(&gpu, mode, kernel, &table, &questions);
         let (mut same, mut different) = (0, Vec::new());
         for (&(position, normal), answer) in points.iter().zip(&answers) {
             let [cell, base, eighth, octant] = *answer;
@@ -191,17 +142,17 @@ fn close(a: f32, b: f32, relative: f32, absolute: f32) -> bool {
 #[test]
 fn directions_have_the_same_leaf_on_the_gpu() {
     let gpu = open_gpu();
-    let kernel = probe(
+    let kernel = (
         "import package::guiding::table::{adaptive_density, cell_at};",
         "let density = adaptive_density(cell_at(a.w), bitcast<vec3<f32>>(b.xyz));
-        out = vec4<u32>(density.slot, bitcast<u32>(density.pdf), 0u, 0u);",
+        out0 = vec4<u32>(density.slot, bitcast<u32>(density.pdf), 0u, 0u);",
     );
     let learnt = learnt(GuideMode::Adaptive, 1);
     let asked: Vec<_> =
         directions().into_iter().zip(0..).map(|(d, i)| (learnt.cell(i % 97).0, flushed(d))).collect();
     let questions: Vec<Question> =
         asked.iter().map(|(cell, d)| question(Vec3::ZERO, cell.index, *d)).collect();
-    let answers = ask(&gpu, GuideMode::Adaptive, &kernel, &learnt.table, &questions);
+    let answers = ask(&gpu, GuideMode::Adaptive, kernel, &learnt.table, &questions);
     let (mut moved, mut slots) = (0, std::collections::BTreeSet::new());
     for ((cell, direction), [slot, pdf, ..]) in asked.iter().zip(&answers) {
         let expected = adaptive::density(&learnt.table, cell, *direction);
@@ -222,7 +173,7 @@ fn directions_have_the_same_leaf_on_the_gpu() {
 #[test]
 fn octants_have_the_same_densities_on_the_gpu() {
     let gpu = open_gpu();
-    let kernel = probe(
+    let kernel = (
         "import package::guiding::octant::{octant_of, octant_share};
         import package::guiding::table::{cell_at, octants_density, octant_shares, octants_mean_radiance};",
         "let normal = bitcast<vec3<f32>>(a.xyz);
@@ -232,7 +183,7 @@ fn octants_have_the_same_densities_on_the_gpu() {
         let mean = octants_mean_radiance(cell, shares);
         let density = octants_density(cell, normal, shares, mean, direction);
         let share = octant_share(normal, octant_of(direction));
-        out = vec4<u32>(density.slot, bitcast<u32>(density.pdf), bitcast<u32>(share), bitcast<u32>(mean));",
+        out0 = vec4<u32>(density.slot, bitcast<u32>(density.pdf), bitcast<u32>(share), bitcast<u32>(mean));",
     );
     let learnt = learnt(GuideMode::Octant, 1);
     let normals = drawn(normal(), 1000);
@@ -242,7 +193,7 @@ fn octants_have_the_same_densities_on_the_gpu() {
         .map(|(d, i)| (learnt.cell(i % 97).0, flushed(normals[i as usize % 1000]), flushed(d)))
         .collect();
     let questions: Vec<Question> = asked.iter().map(|(cell, n, d)| question(*n, cell.index, *d)).collect();
-    let answers = ask(&gpu, GuideMode::Octant, &kernel, &learnt.table, &questions);
+    let answers = ask(&gpu, GuideMode::Octant, kernel, &learnt.table, &questions);
     for ((cell, normal, direction), answer) in asked.iter().zip(&answers) {
         let mean = octants::mean_radiance(cell, &octant_shares(*normal));
         let expected = octants::density(cell, *normal, &octant_shares(*normal), mean, *direction);
@@ -266,7 +217,7 @@ fn octants_have_the_same_densities_on_the_gpu() {
 fn directions_drawn_on_the_gpu_follow_the_density_of_the_cpu() {
     const DRAWS: u32 = 100_000;
     let gpu = open_gpu();
-    let kernel = probe(
+    let kernel = (
         "import package::base::random::{SampleKey, sample4};
         import package::items::Material;
         import package::scene::data::KIND_DIFFUSE;
@@ -279,7 +230,7 @@ fn directions_drawn_on_the_gpu_follow_the_density_of_the_cpu() {
         let point = guide_point(Surface(bitcast<vec3<f32>>(a.xyz), normal, 0.0), normal, material);
         let key = SampleKey(3u, a.w, 47u);
         let wi = guided_direction(point, normal, sample4(key, 1u).xy, key, 0u);
-        out = vec4<u32>(bitcast<vec3<u32>>(wi), bitcast<u32>(guided_pdf(point, normal, wi)));",
+        out0 = vec4<u32>(bitcast<vec3<u32>>(wi), bitcast<u32>(guided_pdf(point, normal, wi)));",
     );
     let scene = CompiledScene::new(&scene("cornell-box"));
     let (lanes, uniforms) = (ShapeLanes::new(&scene), Uniforms::default());
@@ -297,7 +248,7 @@ fn directions_drawn_on_the_gpu_follow_the_density_of_the_cpu() {
                 transport.guide_point(&Surface { position, normal, offset: 0.0 }, normal, &material).unwrap();
             let questions: Vec<Question> =
                 (0..DRAWS).map(|sample| question(position, sample, normal)).collect();
-            let answers = ask(&gpu, mode, &kernel, &table, &questions);
+            let answers = ask(&gpu, mode, kernel, &table, &questions);
             let drawn = |i: u32| {
                 let [x, y, z, _] = answers[i as usize];
                 Vec3::new(f32::from_bits(x), f32::from_bits(y), f32::from_bits(z))
@@ -319,17 +270,17 @@ fn directions_drawn_on_the_gpu_follow_the_density_of_the_cpu() {
 #[test]
 fn trees_are_warped_alike_on_the_gpu() {
     let gpu = open_gpu();
-    let kernel = probe(
+    let kernel = (
         "import package::guiding::table::{adaptive_sample, cell_at};",
         "let u = bitcast<vec3<f32>>(b.xyz);
-        out = vec4<u32>(bitcast<vec3<u32>>(adaptive_sample(cell_at(a.w), u.x, u.yz, true, vec3<f32>(0.0)).direction), 0u);",
+        out0 = vec4<u32>(bitcast<vec3<u32>>(adaptive_sample(cell_at(a.w), u.x, u.yz, true, vec3<f32>(0.0)).direction), 0u);",
     );
     let learnt = learnt(GuideMode::Adaptive, 2);
     let asked: Vec<_> =
         (0..40_000u32).map(|i| (learnt.cell(i % 97).0, random(12, i, 3).truncate())).collect();
     let questions: Vec<Question> =
         asked.iter().map(|(cell, u)| question(Vec3::ZERO, cell.index, *u)).collect();
-    let answers = ask(&gpu, GuideMode::Adaptive, &kernel, &learnt.table, &questions);
+    let answers = ask(&gpu, GuideMode::Adaptive, kernel, &learnt.table, &questions);
     let far = asked.iter().zip(&answers).filter(|((cell, u), [x, y, z, _])| {
         let expected = adaptive::sample(&learnt.table, cell, u.x, Vec2::new(u.y, u.z)).0;
         let found = Vec3::new(f32::from_bits(*x), f32::from_bits(*y), f32::from_bits(*z));
