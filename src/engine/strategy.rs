@@ -50,6 +50,10 @@ const CLEARLY_BETTER: f64 = 0.5;
 /// converge faster than their variance tells, and a guide's choices break the strata up. Measured: cornell-box, whose
 /// variance is 1.8, is 1.7 times as efficient without; bansal-room-5, with 5.6, 1.15 times as efficient with a guide.
 const SMOOTH: f64 = 3.0;
+/// How many times more a guided sample's variance counts where samples are stratified, for the same reason: what it loses by
+/// breaking strata up. Measured: bansal-room-5 on an H100, where the comparison found guide and plain tracing alike, is 1.25
+/// times as efficient without.
+const STRATA_LOSS: f64 = 1.3;
 /// Plain tracing's roulette: the best of 1, 4, 16 and off on most scenes (docs/GUIDING.md).
 const PLAIN: Strategy = Strategy { informed: false, roulette: Roulette::Throughput, roulette_scale: 4.0 };
 
@@ -151,7 +155,8 @@ impl Planner {
             _ => &mut self.informed,
         };
         judged.variance = variance;
-        judged.noise_cost = variance * self.costs.of(&pass.strategy, rays);
+        let loss = if self.stratified && pass.strategy.informed { STRATA_LOSS } else { 1.0 };
+        judged.noise_cost = loss * variance * self.costs.of(&pass.strategy, rays);
     }
 
     /// The pass after `samples` samples per pixel.
