@@ -135,6 +135,7 @@ impl GuideArgs {
             discount: self.guide_discount.unwrap_or(default.discount),
             threshold: self.guide_threshold.unwrap_or(default.threshold),
             learning_samples: self.guide_learning.unwrap_or(default.learning_samples),
+            mature_samples: default.mature_samples,
             memory: self.guide_memory.unwrap_or(default.memory),
         }
     }
@@ -271,6 +272,7 @@ mod tests {
             discount: 0.7,
             threshold: 0.6,
             learning_samples: 64,
+            mature_samples: GuideOptions::default().mature_samples,
             memory: 1 << 20,
         };
         assert_eq!(parse(all).options(), expected);

@@ -11,10 +11,6 @@ use crate::scene::compiled::{CompiledScene, Uniforms};
 /// Samples that an estimate of a pixel's luminance should rest on, its neighbours' included.
 const ESTIMATE_SAMPLES: f64 = 512.0;
 
-/// Samples per pixel from which on learnt roulette is believed; before, paths end by throughput. What cells have learnt from a
-/// few samples is so rough that roulette by it brought 3 to 9 times the noise at 16 samples (docs/GUIDING.md).
-const MATURE_SAMPLES: u32 = 64;
-
 /// What a guided render keeps besides the film.
 pub struct Guided {
     learner: Learner,
@@ -62,7 +58,7 @@ impl Guided {
             combined: CombinedFilm::new(&Film::new(uniforms.width, uniforms.height)),
             first_sample: options.first_sample,
             // What was loaded has been learnt already.
-            mature: if options.guide_table.is_some() { 0 } else { MATURE_SAMPLES },
+            mature: if options.guide_table.is_some() { 0 } else { options.guide.mature_samples },
             spent: (0, 0),
             pixels: f64::from(pixels),
         }))

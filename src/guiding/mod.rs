@@ -79,6 +79,9 @@ pub struct GuideOptions {
     pub threshold: f32,
     /// Samples per pixel that teach, rounded up to whole passes; the rest only uses what was learnt. 0: nothing is learnt.
     pub learning_samples: u32,
+    /// Samples per pixel from which on learnt roulette goes by what was learnt; before, paths end by throughput. What cells
+    /// know after a few samples is so rough that roulette by it brought 3 to 9 times the noise at 16 (docs/GUIDING.md).
+    pub mature_samples: u32,
     /// Bytes that the table may take.
     pub memory: u64,
 }
@@ -95,6 +98,7 @@ impl Default for GuideOptions {
             discount: 0.8,
             threshold: 0.75,
             learning_samples: 511,
+            mature_samples: 64,
             memory: 256 << 20,
         }
     }

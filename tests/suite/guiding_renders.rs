@@ -13,7 +13,8 @@ use qtracer::{Image, RenderOptions};
 
 /// Small renders with this guide and roulette.
 pub fn guided(width: u32, height: u32, seed: u32, mode: GuideMode, roulette: Roulette) -> RenderOptions {
-    let guide = GuideOptions { mode, ..Default::default() };
+    // Renders of tests are short: they believe what they learn at once.
+    let guide = GuideOptions { mode, mature_samples: 2, ..Default::default() };
     RenderOptions { guide, roulette: Some(roulette), ..small(width, height, seed) }
 }
 
