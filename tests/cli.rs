@@ -759,8 +759,11 @@ fn guide_options_without_effect_are_named() {
     let all = ["--guide", "adaptive", "--guide-cell", "1", "--guide-depth", "3", "--guide-mixture", "0.7"];
     let more =
         ["--guide-alpha", "0.5", "--guide-learning", "4", "--guide-memory", "8M", "--roulette", "learnt"];
-    let used = warnings(&[&all[..], &more, &["--roulette-scale", "2"]].concat());
+    let all = [&all[..], &more, &["--roulette-scale", "2"]].concat();
+    let used = place.render(&[&all[..], &["--spp", "65"]].concat()).stderr;
     assert!(!used.contains("warning"), "{used}");
+    let young = warnings(&all);
+    assert!(young.contains("warning: learnt roulette is believed from 64 samples on"), "{young}");
     let nothing = warnings(&["--guide", "adaptive", "--guide-learning", "0"]);
     assert!(nothing.contains("warning: --guide-learning 0 without --load-guide"), "{nothing}");
     let layers = warnings(&["--guide", "adaptive", "--guide-layers"]);

@@ -62,7 +62,7 @@ fn auto() -> Auto {
         Ok(gpu) => Auto {
             engine: "wavefront or megakernel, by scene".into(),
             device: gpu.summary.name.clone(),
-            why: "the first real GPU; scenes of up to some 30 shapes go to the megakernel".into(),
+            why: "the first real GPU; scenes of few shapes go to the megakernel".into(),
         },
         Err(error) => Auto {
             engine: "cpu".into(),

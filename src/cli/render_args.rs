@@ -85,8 +85,8 @@ struct TransportArgs {
     #[arg(long, value_enum, value_name = "on|off", hide_possible_values = true)]
     direct_light: Option<Switch>,
 
-    /// End faint paths early, without bias: by their throughput, or by what their surroundings have learnt
-    /// [default: the scene's]
+    /// End faint paths early, without bias: by their throughput, or by what their surroundings have learnt, which is
+    /// believed from 64 samples on [default: the scene's]
     #[arg(long, value_enum, value_name = "off|throughput|learnt", hide_possible_values = true)]
     roulette: Option<RouletteArg>,
 
@@ -95,8 +95,8 @@ struct TransportArgs {
     #[arg(long, value_name = "X", value_parser = values::factor, allow_negative_numbers = true)]
     roulette_scale: Option<f32>,
 
-    /// With --roulette learnt: let a path that is worth more than others go on as up to this many copies
-    /// [default: 1]
+    /// With --roulette learnt, from 64 samples on: let a path that is worth more than others go on as up to this many
+    /// copies [default: 1]
     #[arg(long, value_name = "1..8", value_parser = clap::value_parser!(u32).range(1..=8), allow_negative_numbers = true)]
     split: Option<u32>,
 
@@ -257,6 +257,15 @@ impl RenderArgs {
         }
         if options.roulette_scale.is_some() && estimators.roulette == Roulette::Off {
             console::warning("--roulette-scale has no effect: roulette is off");
+        }
+        let mature = options.guide.mature_samples;
+        let asked = self.transport.split.is_some_and(|n| n > 1) || options.roulette == Some(Roulette::Learnt);
+        if asked && stop.max_samples <= mature && options.guide_table.is_none() {
+            console::warning(format!(
+                "learnt roulette is believed from {mature} samples on, and there are to be {}; choose a larger --spp, or \
+                 --load-guide",
+                stop.max_samples
+            ));
         }
         let shown = guide.layers && (has("exr") || guide.show.is_some());
         if guide.layers && !shown {

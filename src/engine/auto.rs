@@ -8,8 +8,9 @@ use crate::scene::compiled::CompiledScene;
 /// megakernel loses more to invocations that wait for each other.
 const MANY_TESTS: usize = 64;
 
-/// The engine that is faster for this scene: the megakernel up to some 30 shapes (1.07 to 5 times as fast as the fused
-/// schedule on the shipped scenes), beyond that the wavefront (door-ajar 1.16 times, many-lights 1.03 times as fast).
+/// The engine that is faster for this scene: the megakernel up to 63 shape tests a level (0.98 to 5.8 times as fast as
+/// the fused schedule on the shipped scenes), beyond that the wavefront (door-ajar 1.17, glass-shelf 1.05, many-lights 1.03 times
+/// as fast). docs/PERFORMANCE.md.
 ///
 /// Options that only the wavefront knows imply it.
 pub fn preferred_engine(scene: &CompiledScene, key: &KernelKey, options: &RenderOptions) -> EngineKind {

@@ -42,14 +42,17 @@ impl MegakernelEngine {
 const SOFTWARE_TURNS: u32 = 60_000;
 
 impl MegakernelEngine {
-    /// Paths per invocation that the adapter can trace: on software few, so that its loops are not cut short.
+    /// Paths per invocation that the adapter can trace: on software few, so that its loops are not cut short. A walk through
+    /// the hierarchy may take two turns a shape.
     fn most_grain(&self, max_bounces: u32) -> u32 {
         if !self.gpu.gpu.summary.software {
             return u32::MAX;
         }
-        let shapes = self.gpu.uniforms.sphere_count + self.gpu.uniforms.quad_count;
-        let paths = SOFTWARE_TURNS / (max_bounces * self.gpu.key.places * (2 * shapes + 1));
-        1 + paths.saturating_sub(1) / (WORKGROUP / 8)
+        let shapes = u64::from(self.gpu.uniforms.sphere_count) + u64::from(self.gpu.uniforms.quad_count);
+        let turns_a_level = 1 + shapes * if self.gpu.key.bvh.is_some() { 4 } else { 2 };
+        let turns_a_path = u64::from(max_bounces) * u64::from(self.gpu.key.places) * turns_a_level;
+        let paths = u64::from(SOFTWARE_TURNS) / turns_a_path;
+        1 + paths.saturating_sub(1) as u32 / (WORKGROUP / 8)
     }
 }
 
