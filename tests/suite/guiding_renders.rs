@@ -333,3 +333,17 @@ fn no_cell_shows_in_the_image() {
         assert!(worst_cell(&lit, &plain, &cells).0 > 4.5, "{name}");
     }
 }
+
+/// What cells have learnt from few samples decides nothing: paths end as by throughput, to the bit.
+#[test]
+fn young_tables_do_not_end_paths() {
+    let scene = scene("cornell-box");
+    let image = |roulette, mature_samples| {
+        let mut options = guided(20, 20, 5, GuideMode::Adaptive, roulette);
+        options.roulette_scale = Some(2.5);
+        options.guide.mature_samples = mature_samples;
+        render(&scene, Engine::Cpu, &options, 24).image.rgb
+    };
+    assert_eq!(image(Roulette::Learnt, 64), image(Roulette::Throughput, 64));
+    assert_ne!(image(Roulette::Learnt, 2), image(Roulette::Throughput, 2));
+}

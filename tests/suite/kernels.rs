@@ -240,6 +240,7 @@ fn constants(wgsl: &str) -> BTreeMap<String, f64> {
 fn constants_shared_with_the_kernels_are_equal() {
     let expected: BTreeMap<&str, f64> = [
         ("GRID_WIDTH", f64::from(GRID_WIDTH)),
+        ("LEAF", f64::from(qtracer::scene::bvh::LEAF)),
         ("WORKGROUP", f64::from(WORKGROUP)),
         ("KIND_DIFFUSE", f64::from(compiled::KIND_DIFFUSE)),
         ("KIND_MIRROR", f64::from(compiled::KIND_MIRROR)),
@@ -270,7 +271,9 @@ fn constants_shared_with_the_kernels_are_equal() {
     let mut seen = BTreeSet::new();
     let guided = LEARNING.into_iter().flat_map(|learnt| linked(&scene("bansal-room-1"), &learning(learnt)));
     let split = linked(&scene("bansal-room-1"), &splitting(5));
-    for (kernel, wgsl) in linked(&scene("bansal-room-1"), &usual()).into_iter().chain(guided).chain(split) {
+    let large = linked(&scene("many-lights"), &usual());
+    let usual = linked(&scene("bansal-room-1"), &usual());
+    for (kernel, wgsl) in usual.into_iter().chain(guided).chain(split).chain(large) {
         for (name, value) in constants(&wgsl) {
             if let Some(rust) = expected.get(name.as_str()) {
                 assert_eq!(value, *rust, "{name} in {kernel}");

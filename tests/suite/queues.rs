@@ -16,7 +16,7 @@ use qtracer::gpu::stage::{
     Argument, Counter, GRID_WIDTH, Schedule, Stage, WORKGROUP, argument_words, counter_words,
 };
 use qtracer::guiding::{GuideMode, LessonLayout, LessonSums, Lessons, Transition, lessons};
-use qtracer::scene::compiled::{CompiledScene, NONE, Uniforms};
+use qtracer::scene::compiled::{CompiledScene, NONE, Sphere, Uniforms};
 use qtracer::scene::rows;
 use qtracer::scene::shapes::{Ray, intersect, shape_info};
 use qtracer::transport::estimators::Estimators;
@@ -260,6 +260,18 @@ fn a_push_past_capacity_sets_the_overflow_bit_and_writes_nothing_beyond() {
     }
 }
 
+/// Twin of refine_sphere_distance: what shading makes of the distance in the queue.
+fn refined(ray: &RayItem, sphere: &Sphere, t: f32) -> f32 {
+    let f = ray.origin - sphere.center;
+    let b = -f.dot(ray.direction);
+    let sum = b.abs() + (t - b).abs();
+    if t.abs() >= 0.5 * sum {
+        return t;
+    }
+    let refined = (f.dot(f) - sphere.radius * sphere.radius) / sum.copysign(b);
+    if refined > 0.0 { refined } else { t }
+}
+
 /// Every ray lands in the queue of its hit's material, misses in the environment's, each once; and the hit is the CPU's
 /// but for rays within rounding of an edge.
 #[test]
@@ -322,11 +334,11 @@ fn intersection_pushes_every_ray_to_exactly_one_queue() {
                 let same = match cpu {
                     None => item.shape == NONE,
                     Some(hit) => {
-                        // Before it is refined, a distance is right to roundings of the sphere's size, times how grazing
-                        // the ray is.
-                        let radius = compiled.spheres.get(hit.shape as usize).map_or(0.0, |s| s.radius);
-                        let tolerance = 1e-5 * hit.t.max(1.0) + 1e-5 * radius;
-                        hit.shape == item.shape && (hit.t - item.t).abs() <= tolerance
+                        let t = match compiled.spheres.get(hit.shape as usize) {
+                            Some(sphere) => refined(ray, sphere, item.t),
+                            None => item.t,
+                        };
+                        hit.shape == item.shape && (hit.t - t).abs() <= 1e-5 * hit.t.max(1.0)
                     }
                 };
                 differing += usize::from(!same);
