@@ -57,13 +57,19 @@ pub fn pack(scene: &CompiledScene) -> Vec<Row> {
 /// Rows of an aligned quad in [`hot`].
 pub const ALIGNED_ROWS: usize = 2;
 
-/// What every ray reads of a small scene: the first rows of spheres, aligned quads in brief, the first rows of other quads.
+/// What every ray reads of a small scene: spheres and aligned quads in brief, the first rows of other quads.
 pub fn hot(scene: &CompiledScene) -> Vec<Row> {
-    let [spheres, quads, ..] = parts(scene);
+    let [_, quads, ..] = parts(scene);
     let (aligned, others) = scene.quads.split_at(scene.aligned.iter().sum());
     let aligned = aligned.iter().flat_map(|quad| aligned_rows(quad, quad.axis().unwrap_or(0)));
     let others = Part::new(others, quads.wanted.clone());
-    spheres.rows().chain(aligned).chain(others.rows()).collect()
+    scene.spheres.iter().map(sphere_row).chain(aligned).chain(others.rows()).collect()
+}
+
+/// A sphere in brief: its centre, and the square of its radius, so that no ray multiplies.
+fn sphere_row(sphere: &Sphere) -> Row {
+    let [x, y, z] = sphere.center.to_array();
+    [x, y, z, sphere.radius * sphere.radius].map(f32::to_bits)
 }
 
 /// An aligned quad: where it lies on its axis and where it begins on the next two, in that order around; what a length
@@ -142,7 +148,12 @@ mod tests {
             for (i, light) in scene.lights.iter().enumerate() {
                 assert_eq!(item::<Light>(&rows, i, Light::ROWS, at.first_light_row, 0), *light);
             }
-            assert_eq!(hot(&scene), rows[..spheres + 4 * quads], "no quad is aligned");
+            let hot = hot(&scene);
+            assert_eq!(hot[spheres..], rows[spheres..spheres + 4 * quads], "no quad is aligned");
+            for (brief, whole) in hot.iter().zip(&rows[..spheres]) {
+                let radius = f32::from_bits(whole[3]);
+                assert_eq!((&brief[..3], f32::from_bits(brief[3])), (&whole[..3], radius * radius));
+            }
             assert_eq!(rows.len(), 2 * spheres + 6 * quads + 2 * 4 + 2 * 5, "nothing lies there twice");
         }
     }

@@ -97,7 +97,7 @@ const SURFACE: (&str, &str) = (
     import package::scene::shapes::{Hit, Ray, Surface, intersect_sphere, refine_sphere_distance, surface_at};",
     "let ray = Ray(bitcast<vec3<f32>>(a.xyz), bitcast<vec3<f32>>(b.xyz));
     let sphere = sphere_at(a.w);
-    let raw = intersect_sphere(ray, sphere.center, sphere.radius);
+    let raw = intersect_sphere(ray, sphere.center, sphere.radius * sphere.radius);
     let t = refine_sphere_distance(ray, sphere.center, sphere.radius, raw);
     let surface = surface_at(ray, Hit(t, a.w));
     out0 = vec4<u32>(bitcast<vec3<u32>>(surface.position), bitcast<u32>(t));
@@ -110,7 +110,7 @@ const SPAWN: (&str, &str) = (
     "let surface = Surface(bitcast<vec3<f32>>(a.xyz), bitcast<vec3<f32>>(b.xyz), bitcast<f32>(b.w));
     let ray = spawn_ray(surface, bitcast<vec3<f32>>(c.xyz));
     let sphere = sphere_at(a.w);
-    let raw = intersect_sphere(ray, sphere.center, sphere.radius);
+    let raw = intersect_sphere(ray, sphere.center, sphere.radius * sphere.radius);
     let t = select(raw, refine_sphere_distance(ray, sphere.center, sphere.radius, raw), raw < 3.0e38);
     out0 = vec4<u32>(bitcast<vec3<u32>>(ray.origin), bitcast<u32>(t));",
 );
