@@ -1,0 +1,65 @@
+#!/usr/bin/env bash
+# What docs/ACCURACY.md claims about whole images at full size, in one session: every engine and guide against converged
+# images by another renderer, each with as many samples as some seconds on a GPU buy.
+#   cargo build --release
+#   QTRACER=target/release/qtracer REFERENCES=DIR_WITH_MITSUBA_EXR MITSUBA=python3 OUT=benches/results/DATE-DEVICE \
+#   benches/accuracy_on_gpu.sh [tight|images]…
+# `tight` makes references of the two scenes where Mitsuba's own tolerances show, into OUT; `images` prefers those.
+set -u
+: "${QTRACER:?}" "${REFERENCES:?}" "${OUT:?}"
+parts=${*:-tight images}
+variant=${VARIANT:-cuda_ad_rgb}
+# Divides all numbers of samples, to try the script.
+less=${LESS:-1}
+mkdir -p "$OUT"
+scratch=$(mktemp -d)
+"$QTRACER" info > "$OUT/device.txt"
+
+tight() {
+  local peer="${MITSUBA:-python3} benches/peers/mitsuba_reference.py" common="--variant $variant"
+  # The rooms' walls are spheres of radius 2000, which need the wider offset.
+  $peer scenes/cornell-box.toml $common --size 256 256 --spp $((65536 / less)) --offset 2e-6 --out "$OUT/cornell.exr"
+  $peer scenes/bansal-room-1.toml $common --size 320 240 --spp $((32768 / less)) --out "$OUT/seed1.exr"
+}
+
+# One row: SCENE REFERENCE SIZE SAMPLES NAME OPTION…
+row() {
+  local scene=$1 reference=$2 size=$3 spp=$(($4 / less < 4 ? 4 : $4 / less)) name=$5; shift 5
+  local file="$REFERENCES/$reference.exr" mark=""
+  [ -f "$OUT/$reference.exr" ] && file="$OUT/$reference.exr" mark=" (tight)"
+  local seconds; seconds=$("$QTRACER" render "scenes/$scene.toml" --size "$size" --spp "$spp" --sampler independent --direct-light on \
+    --max-bounces 64 --no-features -q --stats json -o "$scratch/ours.exr" "$@" 2> "$scratch/log" |
+    python3 -c 'import json,sys; print("%.1f" % json.load(sys.stdin)["seconds"])') || { echo "| $scene | $name | $(tail -1 "$scratch/log") |"; return; }
+  "$QTRACER" compare "$scratch/ours.exr" "$file" --z-test --json 2>/dev/null | python3 -c '
+import json, sys
+found, (scene, name, spp, seconds) = json.load(sys.stdin), sys.argv[1:]
+test, ratio = found["z_test"], found["mean_ratio"]
+blocks, means = test["blocks"], test["means"]
+error = abs(ratio[means["channel"]] - 1) / max(means["max_abs_z"], 1e-9)
+verdict = "pass" if test["passes"] else "FAIL"
+print("|", " | ".join([scene, name, spp, seconds, " ".join("%.5f" % r for r in ratio), "%.1e" % error,
+    "%.2f (%.2f)" % (blocks["max_abs_z"], blocks["threshold"]), "%.2f" % means["max_abs_z"], verdict]), "|")
+' "$scene$mark" "$name" "$spp" "$seconds"
+}
+
+images() {
+  echo "| scene | engine, guide, roulette | samples | seconds | mean ratio R G B | s.e. of it | max \\|z\\| of blocks (limit) | of means (3.14) | |"
+  echo "|---|---|---|---|---|---|---|---|---|"
+  for pair in cornell-box:cornell bansal-room-1:seed1 bansal-room-5:seed5 door-ajar:door glass-caustic:caustic; do
+    local at="${pair%:*} ${pair#*:} 256x256"
+    [[ $pair == bansal* ]] && at="${pair%:*} ${pair#*:} 320x240"
+    row $at 262144 "wavefront" --engine wavefront --roulette throughput
+    row $at 262144 "megakernel" --engine megakernel --roulette throughput
+    row $at 16384 "wavefront, no roulette" --engine wavefront --roulette off
+    row $at 1024 "cpu" --engine cpu --roulette throughput
+    row $at 65536 "adaptive, learnt" --guide adaptive --roulette learnt
+    row $at 65536 "adaptive" --guide adaptive --roulette throughput
+    row $at 65536 "octant" --guide octant --roulette throughput
+    row $at 65536 "octant, learnt" --guide octant --roulette learnt
+    row $at 16384 "bansal-reweighted" --guide bansal-reweighted --roulette throughput
+    row $at 1024 "bansal (biased: must fail)" --guide bansal --roulette throughput
+  done
+}
+
+for part in $parts; do $part | tee "$OUT/$part.md"; done
+rm -rf "$scratch"
