@@ -8,6 +8,7 @@
 
 mod bench_report;
 mod engines;
+mod failing_images;
 mod films;
 mod floors;
 mod furnace;
@@ -16,6 +17,7 @@ mod guiding_maths;
 mod guiding_renders;
 mod guiding_samplers;
 mod kernels;
+mod lost_samples;
 mod probe;
 mod queues;
 mod recorded_levels;
