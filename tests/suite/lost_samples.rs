@@ -105,8 +105,12 @@ fn samples_that_are_no_numbers_are_black_and_counted_where_the_gpu_sums_them() {
             assert_eq!((lost, lost > 0), (expected_lost, any), "{places} places");
             for (i, (sum, [first, second])) in sums.iter().zip(&expected).enumerate() {
                 // Drivers may fuse the square into the sum.
-                let near = |a: [f32; 3], b: Vec3| (Vec3::from(a) - b).abs().max_element() <= 1e-5 * b.max_element();
-                assert!(near(sum.sum, *first) && near(sum.sum_sq, *second), "block {i}: {sum:?} {first} {second}");
+                let near =
+                    |a: [f32; 3], b: Vec3| (Vec3::from(a) - b).abs().max_element() <= 1e-5 * b.max_element();
+                assert!(
+                    near(sum.sum, *first) && near(sum.sum_sq, *second),
+                    "block {i}: {sum:?} {first} {second}"
+                );
             }
         }
         // Negative control: the poison counts where nothing judges it.
@@ -181,8 +185,8 @@ fn spoilt_boxes() -> Vec<(&'static str, Scene)> {
     ]
 }
 
-/// Guided or not, with roulette by throughput or by what was learnt, with paths split or not: films and images are finite,
-/// and GPU engines lose the same samples.
+/// Each in another way, guided or not, with roulette by throughput or by what was learnt, with paths split or not: films and
+/// images are finite, and GPU engines lose the same samples.
 #[test]
 fn what_is_poisoned_in_a_scene_poisons_no_image() {
     let exact = open_gpu().summary.software;
@@ -193,9 +197,8 @@ fn what_is_poisoned_in_a_scene_poisons_no_image() {
         guided(12, 12, 9, GuideMode::Octant, Roulette::Throughput),
         split,
     ];
-    for ((name, scene), (way, options)) in
-        spoilt_boxes().iter().flat_map(|spoilt| ways.iter().enumerate().map(move |way| (spoilt, way)))
-    {
+    for (i, (name, scene)) in spoilt_boxes().iter().enumerate() {
+        let (way, options) = (i, &ways[i]);
         let engines = [Engine::Cpu, Engine::Megakernel, Engine::Wavefront(SCHEDULES[way % 3])];
         let lost = engines.map(|engine| {
             let found = render_lossy(scene, engine, options, 14);

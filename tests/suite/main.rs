@@ -7,7 +7,9 @@
 //! Tests of the GPU fail, and do not skip, where there is no adapter: `tests/run` installs a software one.
 
 mod bench_report;
+mod energy;
 mod engines;
+mod extremes;
 mod failing_images;
 mod films;
 mod floors;
