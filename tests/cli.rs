@@ -369,6 +369,7 @@ fn stats_are_all_that_stdout_holds() {
     assert_eq!((&stats["width"], &stats["height"]), (&20.into(), &10.into()));
     assert_eq!((&stats["samples"], &stats["paths"]), (&3.into(), &600.into()));
     assert_eq!((&stats["engine"], &stats["complete"]), (&"cpu".into(), &true.into()));
+    assert_eq!(stats["lost_samples"], 0);
     for number in ["wall_seconds", "mpaths_per_second", "relative_error", "seed"] {
         assert!(stats[number].is_number(), "{number}");
     }

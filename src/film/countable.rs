@@ -36,6 +36,6 @@ mod tests {
     #[test]
     fn a_block_of_the_brightest_squares_is_finite() {
         let square = f32::from_bits(BRIGHTEST.to_bits() - 1).powi(2);
-        assert!((0..crate::gpu::stage::BLOCK).map(|_| square).sum::<f32>().is_finite());
+        assert!((0..32).map(|_| square).sum::<f32>().is_finite());
     }
 }
