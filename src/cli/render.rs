@@ -244,8 +244,8 @@ fn lost_samples(stats: &RenderStats) -> Option<String> {
     (lost > 0).then(|| {
         format!(
             "{lost} of {all} samples came out infinite or as no number; they count as black, so the image is too dark where \
-             they fell. Bring sizes and radiances of the scene closer together; if they are ordinary ones, this is a fault \
-             of qtracer or of the driver: compare with --engine cpu and report it"
+             they fell. Lower colors above 1 and bring sizes and radiances closer together; if they are ordinary ones, this \
+             is a fault of qtracer or of the driver: compare with --engine cpu and report it"
         )
     })
 }
