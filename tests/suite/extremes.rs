@@ -111,6 +111,21 @@ fn light_of_any_strength_makes_the_same_image_to_the_bit() {
     }
 }
 
+/// Light of 2^-110 (1e-32), whose squares are 0 in f32 and whose estimates learnt roulette does not trust: nothing is lost, and
+/// the mean is the scene's, within 4 standard errors of it (α = 6.3e-5).
+#[test]
+fn light_too_faint_to_learn_from_is_right_all_the_same() {
+    let cornell = scene("cornell-box");
+    for engine in CLASSES {
+        let options = guided(16, 16, 9, GuideMode::Adaptive, Roulette::Learnt);
+        let plain = channel(&render(&cornell, engine, &options, 62).image, 1);
+        let faint = render(&relit(&cornell, 2f64.powi(-110)), engine, &options, 62).image;
+        let mean = channel(&faint, 1).0 * 2f64.powi(110);
+        println!("{engine:?}: {mean:.4} for {:.4} ± {:.4}", plain.0, plain.1);
+        assert!((mean - plain.0).abs() < 4.0 * 2f64.sqrt() * plain.1, "{engine:?}: {mean} for {plain:?}");
+    }
+}
+
 /// Mean of a channel over the image, and its standard error.
 fn channel(image: &Image, c: usize) -> (f64, f64) {
     let n = image.rgb.len() as f64;
