@@ -37,6 +37,8 @@ impl fmt::Display for Roulette {
 pub const ROULETTE_FROM_BOUNCE: u32 = 3;
 /// Learnt roulette lets at least this share of paths go on, since what was learnt may be wrong.
 pub const LEAST_SURVIVAL: f32 = 0.05;
+/// Estimates of a pixel below this, 2⁻¹⁰⁰, are taken for none: quotients by less are not to be trusted on every GPU.
+const LEAST_ESTIMATE: f32 = 7.888_609e-31;
 
 impl Transport<'_> {
     /// Chance with which the path goes on, or how many copies of it are to go on on average; each carries the weight of
@@ -79,7 +81,7 @@ impl Transport<'_> {
         key: SampleKey,
     ) -> Option<f32> {
         let estimate = self.guidance?.table.pixel_estimate(key.pixel);
-        if point.mean <= 0.0 || estimate <= 0.0 {
+        if point.mean <= 0.0 || estimate <= LEAST_ESTIMATE {
             return None;
         }
         let expected = luminance(ray.throughput * material.color) * point.share * point.mean;

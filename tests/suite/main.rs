@@ -7,7 +7,10 @@
 //! Tests of the GPU fail, and do not skip, where there is no adapter: `tests/run` installs a software one.
 
 mod bench_report;
+mod energy;
 mod engines;
+mod extremes;
+mod failing_images;
 mod films;
 mod floors;
 mod furnace;
@@ -16,6 +19,7 @@ mod guiding_maths;
 mod guiding_renders;
 mod guiding_samplers;
 mod kernels;
+mod lost_samples;
 mod probe;
 mod queues;
 mod recorded_levels;

@@ -102,7 +102,12 @@ pub fn render(scene: &Scene, engine: Engine, options: &RenderOptions, spp: u32) 
     render_in_steps(scene, engine, options, spp, u32::MAX)
 }
 
-/// Renders `spp` samples per pixel in steps of at most `step`.
+/// Renders `spp` samples per pixel of a scene that may lose some.
+pub fn render_lossy(scene: &Scene, engine: Engine, options: &RenderOptions, spp: u32) -> Render {
+    render_any(scene, engine, options, spp, u32::MAX)
+}
+
+/// Renders `spp` samples per pixel in steps of at most `step`. Whatever is rendered, no sample is lost.
 pub fn render_in_steps(
     scene: &Scene,
     engine: Engine,
@@ -110,6 +115,12 @@ pub fn render_in_steps(
     spp: u32,
     step: u32,
 ) -> Render {
+    let found = render_any(scene, engine, options, spp, step);
+    assert_eq!(found.stats.lost_samples, 0, "{engine:?} on {}: samples that are no numbers", scene.name);
+    found
+}
+
+fn render_any(scene: &Scene, engine: Engine, options: &RenderOptions, spp: u32, step: u32) -> Render {
     let mut renderer = Renderer::new(scene, engine.with(options)).unwrap_or_else(|e| {
         panic!("{engine:?} on {}: {e}\nGPU tests need an adapter: run tests/run", scene.name)
     });
