@@ -16,6 +16,7 @@ mod guiding_maths;
 mod guiding_renders;
 mod guiding_samplers;
 mod kernels;
+mod oracles;
 mod probe;
 mod queues;
 mod recorded_levels;
