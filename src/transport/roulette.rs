@@ -68,7 +68,7 @@ impl Transport<'_> {
         if bounce < ROULETTE_FROM_BOUNCE || kind == KIND_DIELECTRIC {
             return 1.0;
         }
-        (throughput.max_element() * self.uniforms.roulette_scale).max(LEAST_SURVIVAL_BY_THROUGHPUT).min(1.0)
+        (throughput.max_element() * self.uniforms.roulette_scale).clamp(LEAST_SURVIVAL_BY_THROUGHPUT, 1.0)
     }
 
     /// What going on is expected to bring over the estimate of the pixel, at most as many copies as the path may become;

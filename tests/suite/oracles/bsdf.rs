@@ -37,17 +37,23 @@ pub fn fresnel_by_cosines(cos_i: f64, eta: f64) -> f64 {
 
 /// Density of a Phong lobe at 1 − cosα, in sr⁻¹.
 pub fn phong(one_minus_cos: f64, exponent: f64) -> f64 {
-    if one_minus_cos >= 1.0 && exponent > 0.0 {
+    if one_minus_cos >= 1.0 {
         return 0.0;
     }
     (exponent + 1.0) / TAU * (exponent * (-one_minus_cos).ln_1p()).exp()
 }
 
-/// Density of the lobe that is folded at the horizon, for unit vectors that are so to rounding.
-pub fn glossy(exponent: f64, [normal, wo, wi]: [Vec3; 3]) -> f64 {
+/// Density of the lobe that is folded at the horizon, for unit vectors that are so to rounding; and what their rounding does
+/// to it, relative, in roundings: 1 − cosα of a direction has √2·√(1 − cosα) times the direction's own.
+pub fn glossy(exponent: f64, [normal, wo, wi]: [Vec3; 3]) -> (f64, f64) {
     let [normal, wo, wi] = [normal, wo, wi].map(|v| v.as_dvec3().normalize());
     let mirrored = |d: DVec3| d - normal * (2.0 * d.dot(normal));
     let axis = mirrored(-wo);
-    let one_minus_cos = |d: DVec3| 0.5 * (axis - d).length_squared();
-    phong(one_minus_cos(wi), exponent) + phong(one_minus_cos(mirrored(wi)), exponent)
+    let lobe = |d: DVec3| {
+        let x = 0.5 * (axis - d).length_squared();
+        let steepness = exponent * (2.0 * x).sqrt() / (1.0 - x).max(1e-6);
+        (phong(x, exponent), 2.0 + exponent * x + steepness)
+    };
+    let [(p, a), (q, b)] = [lobe(wi), lobe(mirrored(wi))];
+    (p + q, (p * a + q * b) / (p + q))
 }

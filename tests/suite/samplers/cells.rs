@@ -69,7 +69,7 @@ impl Cells {
     }
 
     /// p-value of these draws.
-    fn p_value(&self, draws: impl ExactSizeIterator<Item = Option<Vec3>>, integrals: &[f64]) -> f64 {
+    pub fn p_value(&self, draws: impl ExactSizeIterator<Item = Option<Vec3>>, integrals: &[f64]) -> f64 {
         let count = draws.len() as f64;
         let mut expected: Vec<f64> = integrals.iter().map(|p| p * count).collect();
         let mut observed = vec![0u64; expected.len() + 1];

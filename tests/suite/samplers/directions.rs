@@ -78,22 +78,21 @@ fn cosine_cone_and_phong_directions_follow_their_densities() {
     let twins = twins(&world);
     let cells = Cells::hemisphere(Vec3::Z);
     let uniform = cells.integrate(|_| 1.0 / TAU);
+    let narrower = cells.integrate(|d| 1.03 * f64::from(d.z).powf(0.03) / TAU);
     for side in SIDES {
         let cosine = cells.integrate(|d| f64::from(pdf_cosine(d.z)));
         cells.are_followed(&format!("{side:?}: cosine"), &levelled(&twins, side, COSINE, 0.0), &cosine);
-        for height in [2.0f32, 1.0, 0.3, 1e-3, 1e-7, 1e-14] {
+        for height in [2.0f32, 0.3, 1e-7, 1e-14] {
             let cells = if height > 1.0 { Cells::sphere(Vec3::Z) } else { Cells::hemisphere(Vec3::Z) };
             let draws = levelled_cone(&twins, side, height);
             let expected = cells.integrate(|_| 1.0 / (TAU * (cells.top - cells.bottom)));
             cells.are_followed(&format!("{side:?}: cone of 1 − cos = {height:e}"), &draws, &expected);
         }
-        for exponent in [0.0f32, 1.0, 20.0, 1e3, 1e4, 1e5, 1e6] {
+        for exponent in [0.0f32, 20.0, 1e4, 1e5, 1e6] {
             let draws = levelled(&twins, side, 2, exponent);
             cells.are_followed(&format!("{side:?}: exponent {exponent:e}"), &draws, &uniform);
-            // Negative control: an exponent 3 % greater.
-            let ratio = 1.03 * (f64::from(exponent) + 1.0) / (f64::from(exponent) + 1.0);
-            let narrower = cells.integrate(|d| ratio * f64::from(d.z).powf(ratio - 1.0) / TAU);
-            let p = cells.chi2_of(|i| draws[i as usize], &narrower);
+            // Negative control: n + 1 is 3 % greater.
+            let p = cells.p_value(draws.iter().copied(), &narrower);
             assert!(p < super::WRONG, "{side:?}: an exponent 3 % above {exponent:e} passes with p = {p}");
         }
     }
@@ -108,6 +107,9 @@ fn levelled_cone(twins: &Twins<1, 1>, side: Side, height: f32) -> Vec<Option<Vec
     twins.answer(side, &questions).into_iter().map(|[answer]| Some(floats(answer).0)).collect()
 }
 
+/// How far the two sides' directions may be apart, in roundings: sines, cosines and exponentials are the adapter's.
+const ALIKE: f64 = 40.0;
+
 /// The same numbers give the same directions on both sides, but for the rounding of sines and cosines.
 #[test]
 fn directions_are_alike_on_both_sides() {
@@ -120,12 +122,12 @@ fn directions_are_alike_on_both_sides() {
         .collect();
     let (cpu, gpu) = (twins.answer(Side::Cpu, &questions), twins.answer(Side::Gpu, &questions));
     let worst = Worst::default();
-    for ((question, [a]), [b]) in questions.iter().zip(&cpu).zip(&gpu) {
-        let off = f64::from((floats(*a).0 - floats(*b).0).length()) / ROUNDING;
-        assert!(worst.see(off) < 12.0, "{question:?}: {a:?} {b:?}: {off} roundings");
+    for ([a], [b]) in cpu.iter().zip(&gpu) {
+        worst.see(f64::from((floats(*a).0 - floats(*b).0).length()) / ROUNDING);
     }
     println!("directions differ between CPU and GPU by {} roundings", worst.get());
-    assert!(f64::from((floats(cpu[0][0]).0 - floats(gpu[1][0]).0).length()) / ROUNDING > 12.0);
+    assert!(worst.get() < ALIKE);
+    assert!(f64::from((floats(cpu[0][0]).0 - floats(gpu[1][0]).0).length()) / ROUNDING > ALIKE);
 }
 
 const PHONG: (&str, &str) = (
@@ -169,7 +171,8 @@ fn phong_densities_are_those_of_f64() {
                 if n >= 1e4 {
                     worst_narrow.see((f64::from(pdf) / phong(x.into(), n.into()) - 1.0).abs());
                 }
-                (!(error < 6.0)).then(|| format!("n {n:e}, 1 − cos {x:e}: {pdf} is {error} roundings off"))
+                (error >= 6.0 || error.is_nan())
+                    .then(|| format!("n {n:e}, 1 − cos {x:e}: {pdf} is {error} roundings off"))
             };
             lobes.iter().zip(answers).map(fault).collect()
         };

@@ -1,12 +1,11 @@
 //! Renders of different seeds are independent of each other.
 
 use crate::support::{Engine, render, scene, small};
-use qtracer::gpu::stage::Schedule;
 use qtracer::math::luminance;
 use qtracer::stats::{normal_two_sided_threshold, sidak};
 use qtracer::{Image, RenderOptions, Sampler};
 
-const SEEDS: u32 = 8;
+const SEEDS: u32 = 5;
 
 /// Luminances of an image.
 fn luminances(image: &Image) -> Vec<f32> {
@@ -34,14 +33,13 @@ fn renders_of_consecutive_seeds_are_independent() {
         (Engine::Cpu, Sampler::Independent),
         (Engine::Cpu, Sampler::Stratified),
         (Engine::Megakernel, Sampler::Stratified),
-        (Engine::Wavefront(Schedule::Fused), Sampler::Independent),
     ] {
         let image = |seed: u32| {
             let options = RenderOptions { sampler, ..small(48, 48, seed) };
             luminances(&render(&scene, engine, &options, 4).image)
         };
         let images: Vec<Vec<f32>> = (0..2 * SEEDS).map(|i| image(1000 + i)).collect();
-        // Seed k against seed k + 8, so that no two maps share a render.
+        // Seed k against seed k + 5, so that no two maps share a render.
         let maps: Vec<Vec<f64>> =
             (0..SEEDS as usize).map(|i| signs(&images[i], &images[i + SEEDS as usize])).collect();
         let pairs: Vec<(usize, usize)> = (0..maps.len()).flat_map(|i| (0..i).map(move |j| (i, j))).collect();
@@ -53,6 +51,6 @@ fn renders_of_consecutive_seeds_are_independent() {
         // Negative controls: the same seed, and renders half of whose samples are of the same seed.
         assert!(z(&maps[0], &maps[0]) > 40.0);
         let half: Vec<f32> = images[0].iter().zip(&images[1]).map(|(a, b)| 0.5 * (a + b)).collect();
-        assert!(z(&signs(&half, &images[9]), &maps[0]) > 10.0);
+        assert!(z(&signs(&half, &images[6]), &maps[0]) > 6.0);
     }
 }

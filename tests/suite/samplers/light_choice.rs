@@ -1,7 +1,8 @@
 //! Which light is sampled: every number that may be drawn is counted.
 
-use super::twins::{SIDES, Twins, World};
+use super::twins::{SIDES, Side, Twins, World};
 use super::{ALPHA, WRONG, draw};
+use crate::support::open_gpu;
 use proptest::prelude::*;
 use qtracer::sampling::{AliasTable, alias_row};
 use qtracer::scene::compiled::{CompiledScene, Light};
@@ -62,6 +63,7 @@ fn count(world: &World, [[first, ..]]: &[Row; 1]) -> [Row; 3] {
 /// rare a light is. Where drivers fuse a product with a difference, a number at a threshold may move.
 #[test]
 fn each_light_is_chosen_by_exactly_the_numbers_that_its_probability_counts() {
+    let fuses = !open_gpu().summary.software;
     let scenes = [
         vec![1.0, 1e8],
         vec![1e8, 1.0],
@@ -75,13 +77,14 @@ fn each_light_is_chosen_by_exactly_the_numbers_that_its_probability_counts() {
         let questions: Vec<_> =
             (0..DRAWABLE).step_by(TRIED as usize).map(|first| [[first, 0, 0, 0]]).collect();
         for side in SIDES {
+            let slack = if side == Side::Gpu && fuses { 2.0 * powers.len() as f32 } else { 0.0 };
             let mut counts = [0u32; 12];
             for answer in twins.answer(side, &questions) {
                 counts.iter_mut().zip(answer.as_flattened()).for_each(|(sum, count)| *sum += count);
             }
             for (light, counted) in world.scene.lights.iter().zip(counts) {
-                let expected = light.pick_probability * DRAWABLE as f32;
-                assert_eq!(counted as f32, expected, "{side:?}: {powers:?}: {light:?} of {counts:?}");
+                let off = counted as f32 - light.pick_probability * DRAWABLE as f32;
+                assert!(off.abs() <= slack, "{side:?}: {powers:?}: {light:?} of {counts:?}");
                 assert!(counted > 0);
             }
         }
@@ -152,9 +155,8 @@ fn lights_are_chosen_as_often_as_their_probability_says() {
         let p = chi2_test(&observed, &expected).unwrap().p_value;
         assert!(p > ALPHA, "{side:?}: {observed:?} for {expected:?}");
         // Negative control: the brightest has 3 % less.
-        let mut askew = expected.clone();
-        askew[4] *= 0.97;
-        askew[3] += 0.03 * expected[4];
+        let most = (0..5).max_by(|a, b| expected[*a].total_cmp(&expected[*b])).unwrap();
+        let askew: Vec<f64> = (0..5).map(|i| expected[i] * if i == most { 0.97 } else { 1.03 }).collect();
         assert!(chi2_test(&observed, &askew).unwrap().p_value < WRONG, "{side:?}");
     }
     let total: f64 = scene.lights.iter().map(|light| power(scene, light)).sum();
