@@ -20,6 +20,7 @@ mod guiding_renders;
 mod guiding_samplers;
 mod kernels;
 mod lost_samples;
+mod oracles;
 mod probe;
 mod queues;
 mod recorded_levels;
