@@ -42,7 +42,7 @@ impl Parallelogram {
     }
 
     /// The point of a ray at `t`, from the corner.
-    pub fn from_corner(&self, origin: Vec3, direction: Vec3, t: f64) -> DVec3 {
+    pub fn at(&self, origin: Vec3, direction: Vec3, t: f64) -> DVec3 {
         origin.as_dvec3() - self.corner + direction.as_dvec3() * t
     }
 
@@ -53,7 +53,7 @@ impl Parallelogram {
 
     /// Where the line of a ray meets the plane: infinite or NaN if it is parallel.
     pub fn plane_distance(&self, origin: Vec3, direction: Vec3) -> f64 {
-        -self.height(self.from_corner(origin, direction, 0.0)) / self.normal.dot(direction.as_dvec3())
+        -self.height(self.at(origin, direction, 0.0)) / self.normal.dot(direction.as_dvec3())
     }
 
     /// How far a point, put onto the plane, lies within the nearest of the four edges' lines; negative outside.

@@ -106,9 +106,9 @@ impl Left {
         let [(point, _), (n, offset), (direction, _)] = question.map(floats);
         let offset = f64::from(offset).max(f64::MIN_POSITIVE);
         // The program's normal may differ from the exact one by a rounding: its cosine decides.
-        let height = quad.height(quad.from_corner(gone.origin, direction, 0.0));
+        let height = quad.height(quad.at(gone.origin, direction, 0.0));
         let cos = n.as_dvec3().dot(direction.as_dvec3());
-        self.worst_point = self.worst_point.max(quad.height(quad.from_corner(point, n, 0.0)).abs() / offset);
+        self.worst_point = self.worst_point.max(quad.height(quad.at(point, n, 0.0)).abs() / offset);
         self.worst_height = self.worst_height.max((height.abs() / offset - 1.0).abs());
         self.judge_side(height, cos);
         *(if cos >= 0.0 { &mut self.outwards } else { &mut self.inwards }) += 1;
@@ -116,11 +116,11 @@ impl Left {
         // What it left lies behind it, unless it left so flat that it passes the edge.
         let back = height.abs() / cos.abs();
         let band = offset / cos.abs();
-        if quad.within(quad.from_corner(gone.origin, direction, -back)) > band {
+        if quad.within(quad.at(gone.origin, direction, -back)) > band {
             if gone.behind >= T_MISS {
                 self.lost += 1;
             } else {
-                let off = quad.height(quad.from_corner(gone.origin, -direction, gone.behind.into())).abs();
+                let off = quad.height(quad.at(gone.origin, -direction, gone.behind.into())).abs();
                 self.worst_residual = self.worst_residual.max(off / offset);
             }
         }

@@ -119,7 +119,7 @@ impl Found {
 
     fn judge(&mut self, quad: &Parallelogram, &[a, b]: &Aimed, met: Met) {
         let (origin, direction) = (floats(a).0, floats(b).0);
-        let at = |t: f64| quad.from_corner(origin, direction, t);
+        let at = |t: f64| quad.at(origin, direction, t);
         let (from_corner, cos) = (at(0.0).length(), quad.normal.dot(direction.as_dvec3()).abs());
         let parallel = cos < 4.0 * ROUNDING;
         self.parallel += u32::from(parallel);
