@@ -51,6 +51,7 @@ mod document;
 mod error;
 mod fields;
 mod load;
+mod resolution;
 #[cfg(test)]
 mod tests;
 mod validate;

@@ -4,6 +4,7 @@ use std::fmt;
 
 use super::coincidence::coincident;
 use super::error::quoted;
+use super::resolution::Resolution;
 use super::validate::shape_label;
 use super::{Material, Scene, Shape};
 
@@ -27,6 +28,17 @@ pub enum SceneWarning {
         /// The shape in whose surface it lies.
         other: String,
     },
+    /// Shapes are so small, so far from the origin, that rays leave them at a distance that matters.
+    BelowResolution {
+        /// The worst of them, as errors call it.
+        shape: String,
+        /// Its radius, or the lesser height of a parallelogram.
+        size: f64,
+        /// How far beside it rays start.
+        offset: f64,
+        /// How many others there are.
+        others: usize,
+    },
 }
 
 impl fmt::Display for SceneWarning {
@@ -47,6 +59,14 @@ impl fmt::Display for SceneWarning {
                 "{lamp} lies in the surface of {other}, so rounding decides which of the two a ray meets; move the lamp \
                  off it a little, to the side that it lights"
             ),
+            Self::BelowResolution { shape, size, offset, others } => {
+                let more = if *others > 0 { format!(" (and {others} more)") } else { String::new() };
+                write!(
+                    f,
+                    "{shape}{more} measures only {size:.1e} where rays start {offset:.1e} beside surfaces, so light on \
+                     and near it is wrong; move the scene towards the origin"
+                )
+            }
         }
     }
 }
@@ -60,7 +80,19 @@ impl Scene {
         }
         warnings.extend(self.materials.iter().filter_map(albedo_warning));
         warnings.extend(self.flush_lamps());
+        warnings.extend(self.below_resolution());
         warnings
+    }
+
+    /// One warning for all shapes that are too small where they are.
+    fn below_resolution(&self) -> Option<SceneWarning> {
+        let resolutions = self.shapes.iter().map(|shape| Resolution::of(&shape.geometry)).enumerate();
+        let poor: Vec<_> = resolutions.filter(|(_, resolution)| resolution.is_poor()).collect();
+        let ratio = |&(_, Resolution { size, offset }): &(usize, Resolution)| size / offset;
+        let worst = poor.iter().min_by(|a, b| ratio(a).total_cmp(&ratio(b)))?;
+        let &(index, Resolution { size, offset }) = worst;
+        let shape = shape_label(index, self.shapes[index].name.as_deref());
+        Some(SceneWarning::BelowResolution { shape, size, offset, others: poor.len() - 1 })
     }
 
     /// One warning for each lamp that coincides with another shape.

@@ -24,7 +24,7 @@ const ASK: (&str, &str) = (
         let ray = Ray(origin, directions[i]);
         if a.w < sphere_count() {
             let sphere = sphere_at(a.w);
-            met[i] = intersect_sphere(ray, sphere.center, sphere.radius);
+            met[i] = intersect_sphere(ray, sphere.center, sphere.radius * sphere.radius);
             if met[i] < T_MISS { met[i] = refine_sphere_distance(ray, sphere.center, sphere.radius, met[i]); }
         } else {
             let quad = quad_at(a.w - sphere_count());
