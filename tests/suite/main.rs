@@ -23,5 +23,6 @@ mod references;
 mod samplers;
 mod shapes_on_gpu;
 mod splitting;
+mod stage_twins;
 mod support;
 mod tables;
