@@ -6,9 +6,9 @@
 //! within rounding of an edge, a random number within rounding of its threshold), and such items are counted and bounded.
 
 mod answers;
-mod queues;
 mod stages;
 
+use crate::recorded_levels::{skip_to, walk_level};
 use crate::support::{adapter, scene};
 use answers::Report;
 use glam::Vec3;
@@ -20,7 +20,6 @@ use qtracer::scene::compiled::{CompiledScene, Uniforms};
 use qtracer::transport::guide::Guidance;
 use qtracer::transport::path::Transport;
 use qtracer::{RenderOptions, Renderer};
-use queues::Queues;
 use stages::Stagework;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -39,32 +38,6 @@ fn options(schedule: Schedule) -> RenderOptions {
         pool: Some(3000),
         adapter: adapter(),
         ..Default::default()
-    }
-}
-
-/// Runs the stages of a level, one after the other, and hands each to `look` when it has run.
-fn walk_level(recorded: &mut RecordedLevel, mut look: impl FnMut(Stage, &Queues, &Queues)) {
-    let mut before = Queues::read(recorded);
-    while let Some(stage) = recorded.stage() {
-        if stage.stage == Stage::Resolve {
-            recorded.run().unwrap();
-            look(stage.stage, &before, &Queues::read(recorded));
-            return;
-        }
-        recorded.advance().unwrap();
-        let after = Queues::read(recorded);
-        look(stage.stage, &before, &after);
-        before = after;
-    }
-}
-
-/// Runs the stages of the levels up to number `level`, not looking.
-fn skip_to(recorded: &mut RecordedLevel, from: u32, level: u32) {
-    for _ in from..level {
-        while recorded.stage().is_some_and(|stage| stage.stage != Stage::Resolve) {
-            recorded.advance().unwrap();
-        }
-        recorded.next_level();
     }
 }
 

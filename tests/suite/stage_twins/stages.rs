@@ -1,7 +1,7 @@
 //! Each stage of the wavefront engine against the function of the CPU that it is the twin of, item by item.
 
 use super::answers::{Answer, Nudges, ROUNDING, Report};
-use super::queues::{Flight, Queues};
+use crate::recorded_levels::{Flight, Queues};
 use glam::Vec3;
 use qtracer::film::BlockSum;
 use qtracer::gpu::key::KernelKey;
