@@ -1,6 +1,7 @@
 //! Compaction: what lives is kept exactly once, and what does not fit is reported.
 
 use super::*;
+use std::cell::Cell;
 
 /// Compacts the rays that are marked live behind `already` others. The counters and the queue afterwards.
 fn compact(harness: &Harness, live: &[bool], already: u32, capacity: u32) -> (Vec<u32>, Vec<RayItem>) {
@@ -71,25 +72,23 @@ fn patterns() -> impl Strategy<Value = (Vec<bool>, u32, u32)> {
 fn compaction_keeps_each_live_path_exactly_once() {
     let harness =
         Harness::new(Stage::Compact, &CompiledScene::new(&scene("cornell-box")), Schedule::Compacted);
-    let mut overflows = 0;
-    let mut law = |(live, already, capacity): (Vec<bool>, u32, u32)| {
+    let overflows = Cell::new(0);
+    let law = |(live, already, capacity): (Vec<bool>, u32, u32)| {
         let (counters, queue) = compact(&harness, &live, already, capacity);
         let survivors = live.iter().filter(|&&live| live).count() as u32;
         if already + survivors <= capacity {
             prop_assert_eq!(compaction_fault(&live, already, &counters, &queue), None);
         } else {
             prop_assert_eq!(overflow_fault(&live, already, &counters, &queue), None);
-            overflows += 1;
+            overflows.set(overflows.get() + 1);
         }
         Ok(())
     };
     law((vec![], 700, 700)).unwrap();
     law((vec![true; 256], 0, 256)).unwrap();
     law((vec![true; 600], 1, 600)).unwrap();
-    let law = std::cell::RefCell::new(law);
-    runner(40).run(&patterns(), |case| (law.borrow_mut())(case)).unwrap();
-    drop(law);
-    assert!(overflows >= 5, "only {overflows} cases ran over");
+    runner(40).run(&patterns(), law).unwrap();
+    assert!(overflows.get() >= 5, "only {overflows:?} cases ran over");
 }
 
 /// What is wrong with a compaction of more than fits, if anything.
@@ -128,6 +127,21 @@ fn a_faulty_compaction_is_found() {
         let (mut counters, mut queue) = (counters.clone(), queue.clone());
         fault(&mut counters, &mut queue);
         assert!(compaction_fault(&live, 5, &counters, &queue).is_some(), "fault {i} was not found");
+    }
+    // The same of a queue that ran over.
+    let (counters, queue) = compact(&harness, &live, 500, 700);
+    assert_eq!(overflow_fault(&live, 500, &counters, &queue), None);
+    let faults: [Fault; 4] = [
+        &|counters, _| counters[Counter::Overflow as usize] = 0,
+        &|_, queue| queue[499] = queue[500],
+        &|_, queue| queue[501] = queue[500],
+        &|_, queue| queue[502] = untouched_ray(),
+    ];
+    for (i, fault) in faults.iter().enumerate() {
+        let (mut counters, mut queue) = (counters.clone(), queue.clone());
+        fault(&mut counters, &mut queue);
+        let found = overflow_fault(&live, 500, &counters, &queue).is_some();
+        assert!(found, "fault {i} of a queue that ran over was not found");
     }
 }
 

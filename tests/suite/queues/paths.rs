@@ -124,3 +124,34 @@ fn every_live_path_is_in_exactly_one_queue() {
     };
     runner(12).run(&(scenes, schedules, pools, any::<u32>(), 0u32..5), law).unwrap();
 }
+
+/// Negative control: who does not know that a stage has run finds its paths in two places; who does not know of a path that
+/// was started finds it where it should not be.
+#[test]
+fn a_path_in_two_places_is_found() {
+    let options = RenderOptions {
+        size: Some((24, 16)),
+        schedule: Some(Schedule::Streamed),
+        pool: Some(1000),
+        adapter: adapter(),
+        ..Default::default()
+    };
+    let mut recorded = RecordedLevel::record(&scene("glossy-box"), &options, 0).unwrap();
+    let key = *recorded.key();
+    let paths = || Paths { key, schedule: Schedule::Streamed, live: BTreeSet::new(), shaded: Vec::new() };
+    let (mut forgetful, mut ignorant) = (paths(), paths());
+    let (mut twice, mut strange) = (0, 0);
+    let mut shaded = 0;
+    walk_level(&mut recorded, |stage, before, after| {
+        twice += u32::from(forgetful.fault(stage, before, after).is_some());
+        shaded += u32::from(matches!(stage, Stage::Shade(_)));
+        if shaded == 1 {
+            forgetful.shaded.clear();
+        }
+        strange += u32::from(ignorant.fault(stage, before, after).is_some());
+        if stage == Stage::Generate {
+            ignorant.live.pop_last();
+        }
+    });
+    assert!(twice > 0 && strange > 0, "{twice} {strange}");
+}
