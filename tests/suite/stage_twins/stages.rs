@@ -102,11 +102,11 @@ impl Stagework<'_> {
                 report.compare(&|| format!("{ray:?} met {hit:?}"), INTERSECT_BOUND, &found, &twin);
             }
         }
-        let live = 0..self.after.count(Counter::Live);
-        let lost = live.filter(|slot| !seen.contains(slot));
-        let met = lost.map(|slot| self.before.ray_in(slot).ray).filter(|ray| self.nearest(ray).is_some());
-        let lost = met.count();
-        report.require(lost == 0 || self.key.environment, || format!("{lost} rays in no queue"));
+        // Misses have a queue where the environment shines.
+        let live = self.after.count(Counter::Live);
+        let unseen = (0..live).filter(|slot| !seen.contains(slot)).map(|slot| self.before.ray_in(slot).ray);
+        let lost = unseen.filter(|ray| self.key.environment || self.nearest(ray).is_some()).count();
+        report.require(lost == 0, || format!("{lost} of {live} rays in no queue"));
     }
 
     /// The question moved by rounding.
@@ -197,24 +197,20 @@ impl Stagework<'_> {
         let queue = self.key.hit_queue(kind);
         let bound = if kind == KIND_GLOSSY { GLOSSY_BOUND } else { SHADE_BOUND };
         let range = |counter| self.before.count(counter)..self.after.count(counter);
-        let next: BTreeMap<u32, Flight> = match self.schedule {
-            Schedule::Compacted => (0..self.before.hit_count(queue))
-                .map(|i| self.after.ray_in(self.before.hit(queue, i).slot))
-                .filter(|flight| flight.ray.path != NONE)
-                .map(|flight| (flight.ray.path, flight))
-                .collect(),
-            _ => range(Counter::Survivors)
-                .map(|slot| self.after.ray_out(slot))
-                .map(|flight| (flight.ray.path, flight))
-                .collect(),
-        };
+        let next = self.next_rays(queue);
         let shadows: BTreeMap<u32, (ShadowItem, Trail)> = range(Counter::Shadows)
             .map(|slot| self.after.shadow(slot))
             .map(|(shadow, trail)| (shadow.path, (shadow, trail)))
             .collect();
-        let pushed = range(Counter::Shadows).len();
-        report
-            .require(shadows.len() == pushed, || format!("{} paths of {pushed} shadow rays", shadows.len()));
+        let [rays, shadow_rays] = [Counter::Survivors, Counter::Shadows].map(|counter| range(counter).len());
+        let rays = if self.schedule == Schedule::Compacted { next.len() } else { rays };
+        let once = next.len() == rays && shadows.len() == shadow_rays;
+        report.require(once, || "two rays of one path".to_string());
+        let hits: BTreeSet<u32> = (0..self.before.hit_count(queue))
+            .map(|i| self.before.ray_in(self.before.hit(queue, i).slot).ray.path)
+            .collect();
+        let own = next.keys().chain(shadows.keys()).all(|path| hits.contains(path));
+        report.require(own, || "a ray of a path that was not there".to_string());
         let mut transitions = Vec::new();
         for i in 0..self.before.hit_count(queue) {
             let item = self.before.hit(queue, i);
@@ -236,6 +232,22 @@ impl Stagework<'_> {
             range(Counter::Transitions).map(|slot| self.after.transition(slot)).collect();
         if self.key.teaches {
             compare_transitions(found, transitions, report);
+        }
+    }
+
+    /// The rays with which paths of a hit queue go on, by path.
+    fn next_rays(&self, queue: u32) -> BTreeMap<u32, Flight> {
+        let by_path = |flight: Flight| (flight.ray.path, flight);
+        let (before, after) = (self.before, self.after);
+        match self.schedule {
+            Schedule::Compacted => (0..before.hit_count(queue))
+                .map(|i| after.ray_in(before.hit(queue, i).slot))
+                .filter(|flight| flight.ray.path != NONE)
+                .map(by_path)
+                .collect(),
+            _ => (before.count(Counter::Survivors)..after.count(Counter::Survivors))
+                .map(|slot| by_path(after.ray_out(slot)))
+                .collect(),
         }
     }
 
