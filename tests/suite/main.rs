@@ -30,5 +30,6 @@ mod rooms;
 mod samplers;
 mod shapes;
 mod splitting;
+mod stage_twins;
 mod support;
 mod tables;
