@@ -57,14 +57,14 @@ fn mis_weights_add_up_to_one() {
 const SHADE: (&str, &str) = (
     "import package::items::RayItem;
     import package::scene::shapes::Hit;
-    import package::transport::path::shade;",
+    import package::transport::path::{sample_key, shade};",
     "var ray: RayItem;
     ray.origin = vec3<f32>(0.3, 0.2, 0.1);
     ray.direction = vec3<f32>(0.0, 0.0, -1.0);
     ray.throughput = bitcast<vec3<f32>>(a.xyz);
     ray.bounce = a.w;
     ray.path = b.x;
-    let outcome = shade(ray, Hit(2.0, b.y));
+    let outcome = shade(ray, sample_key(ray.path), Hit(2.0, b.y));
     out0 = vec4<u32>(bitcast<vec3<u32>>(outcome.ray.throughput), u32(outcome.alive));",
 );
 
