@@ -50,6 +50,12 @@ pub fn open_gpu() -> Gpu {
         .unwrap_or_else(|e| panic!("{e}\nGPU tests need an adapter: run tests/run"))
 }
 
+/// Whether the adapter under test computes as the program says: no product fused with a sum, roots, sines and quotients as
+/// exact as a CPU's. Others may do what WGSL allows, so what is equal in every bit here is equal within roundings there.
+pub fn computes_to_the_letter(gpu: &Gpu) -> bool {
+    gpu.summary.software
+}
+
 /// Where the repository lies.
 pub fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))

@@ -227,8 +227,14 @@ fn spheres_are_sampled(seed: u64, count: u32) {
         }
         println!("{side:?}: {figures:?}");
         assert!(figures.sampled > count / 3 && figures.wrong == 0, "seed {seed}, {side:?}: {figures:?}");
-        let within =
-            [(&figures.pdf, 8.0), (&figures.outside, 8.0), (&figures.residual, 8.0), (&figures.both, 2.0)];
+        // The H100's sines and roots: 9.1 and 5.6.
+        let (residual, both) = if twins.compute_to_the_letter() { (8.0, 2.0) } else { (16.0, 8.0) };
+        let within = [
+            (&figures.pdf, 8.0),
+            (&figures.outside, 8.0),
+            (&figures.residual, residual),
+            (&figures.both, both),
+        ];
         for (worst, bound) in within {
             assert!(worst.get() <= bound, "seed {seed}, {side:?}: {figures:?}");
         }

@@ -3,7 +3,7 @@
 
 use crate::guiding_maths::cases;
 use crate::probe::{Input, Probe};
-use crate::support::{estimators, open_gpu};
+use crate::support::{computes_to_the_letter, estimators, open_gpu};
 use glam::{DVec3, Vec3};
 use proptest::strategy::{Strategy, ValueTree};
 use proptest::test_runner::TestRunner;
@@ -93,6 +93,11 @@ impl<'a, const Q: usize, const A: usize> Twins<'a, Q, A> {
         let gpu = open_gpu();
         let kernel = Probe::new(&gpu, &world.key(), imports, body);
         Twins { gpu, kernel, rust, world }
+    }
+
+    /// See [`computes_to_the_letter`].
+    pub fn compute_to_the_letter(&self) -> bool {
+        computes_to_the_letter(&self.gpu)
     }
 
     pub fn answer(&self, side: Side, questions: &[[Row; Q]]) -> Vec<[Row; A]> {

@@ -98,14 +98,14 @@ fn balls() -> World {
 }
 
 /// A path goes on as often as its brightest throughput says, and carries that much more: what goes on is what came, on
-/// average. Dark paths too, of which one in 1024 is let live. α = 6.3e-5 each.
+/// average. Dark paths too, of which one in 1024 is let live, as far as paths go on at all: to 2⁻¹⁰⁰ = 8e-31. α = 6.3e-5 each.
 #[test]
 fn roulette_keeps_paths_by_their_throughput_and_their_sum() {
     const PATHS: u32 = 1 << 18;
     let world = balls();
     let twins = Twins::new(&world, SHADE, shade);
     let tints = [1.0f32, 0.7, 0.1].map(|v| Vec3::new(v, 0.5 * v, 0.25 * v));
-    let throughputs = [tints[0], tints[1], tints[2], tints[2] * 1e-2, tints[0] * 1e-9, tints[0] * 1e-30];
+    let throughputs = [tints[0], tints[1], tints[2], tints[2] * 1e-2, tints[0] * 1e-9, tints[0] * 1e-28];
     for (side, throughput) in SIDES.into_iter().flat_map(|side| throughputs.map(|t| (side, t))) {
         let ask = |bounce: u32, shape: u32, paths: u32| -> Vec<Row> {
             let questions: Vec<_> =

@@ -1,15 +1,16 @@
 //! The hierarchy of boxes, which many shapes are found through.
 
 use super::{ask, empty, key, tangent};
-use crate::oracles::geometry::unit;
+use crate::oracles::geometry::{ROUNDING, unit};
 use crate::probe::{Numbers, Probe, floats, row};
-use crate::support::open_gpu;
+use crate::support::{computes_to_the_letter, open_gpu};
 use glam::DVec3;
 use qtracer::gpu::device::Gpu;
 use qtracer::gpu::key::{KernelKey, SmallScene};
 use qtracer::scene::bvh::{Bvh, NODE_ROWS};
 use qtracer::scene::compiled::{CompiledScene, NONE, Quad, Sphere};
 use qtracer::scene::rows::{self, Row};
+use qtracer::scene::shapes::{Hit, Ray, surface_at};
 
 /// 50 to 500 spheres and quads within 10 of the origin: nested, coincident, doubled, flat, tiny; and walls of radius 2000.
 fn crowd(numbers: &mut Numbers) -> CompiledScene {
@@ -145,6 +146,30 @@ const WALK: (&str, &str) = (
     out0 = vec4<u32>(bitcast<u32>(hit.t), hit.shape, u32(dark), 0u);",
 );
 
+/// Whether two answers are equal but for rounding, where one of them fuses other products than the other: the same distance within
+/// sixteen roundings, eight for each, and the same shadow unless the ray ends where the hit lies.
+fn alike(scene: &CompiledScene, [a, b]: &[Row; 2], walk: &Row, all: &Row) -> bool {
+    let ends_at_the_hit = (f32::from_bits(a[3]) - 1.0).abs() < 0.1;
+    if walk[2] != all[2] && !ends_at_the_hit {
+        return false;
+    }
+    let [t, other] = [all, walk].map(|row| f32::from_bits(row[0]));
+    if all[1] == NONE || walk[1] == NONE {
+        return all[1] == walk[1];
+    }
+    let ray = Ray { origin: floats(*a).0, direction: floats(*b).0 };
+    let normal = surface_at(scene, ray, Hit { t, shape: all[1] }).normal;
+    let size = match scene.quad_index(all[1]) {
+        None => {
+            let sphere = &scene.spheres[all[1] as usize];
+            (ray.origin - sphere.center).length() + sphere.radius
+        }
+        Some(i) => (ray.origin - scene.quads[i].corner).length() + t,
+    };
+    let cosine = f64::from(ray.direction.dot(normal).abs());
+    f64::from((t - other).abs()) * cosine <= 16.0 * ROUNDING * f64::from(size)
+}
+
 /// Answers by the hierarchy, changed so, and by asking all: how many there were, how many hits and shadows, how many differ.
 fn walked(gpu: &Gpu, seed: u64, farthest: f64, change: impl Fn(&mut Bvh)) -> [usize; 4] {
     let mut numbers = Numbers(seed);
@@ -163,7 +188,11 @@ fn walked(gpu: &Gpu, seed: u64, farthest: f64, change: impl Fn(&mut Bvh)) -> [us
         ask(gpu, &Probe::<2, 1>::new(gpu, &key, WALK.0, WALK.1), &scene, &hot, &questions)
     });
     let count = |what: &dyn Fn(&Row) -> bool| by_all.iter().flatten().filter(|row| what(row)).count();
-    let different: Vec<usize> = (0..questions.len()).filter(|&i| by_walk[i] != by_all[i]).collect();
+    let same = |i: usize| {
+        let (walk, all) = (&by_walk[i][0], &by_all[i][0]);
+        walk == all || !computes_to_the_letter(gpu) && alike(&scene, &questions[i], walk, all)
+    };
+    let different: Vec<usize> = (0..questions.len()).filter(|&i| !same(i)).collect();
     if let Some(&i) = different.first() {
         let [a, b] = questions[i].map(floats);
         println!(
@@ -194,7 +223,8 @@ fn differing_from_the_hierarchy(gpu: &Gpu, seeds: std::ops::Range<u64>) -> usize
 #[test]
 fn the_hierarchy_finds_what_asking_all_finds_to_the_bit() {
     let gpu = open_gpu();
-    assert_eq!(differing_from_the_hierarchy(&gpu, 500..548), 0);
+    let different = differing_from_the_hierarchy(&gpu, 500..548);
+    assert!(different == 0 || !computes_to_the_letter(&gpu) && different <= UNLIKE_ON_HARDWARE);
     // Negative control: boxes smaller by one per cent.
     let shrunk = |bvh: &mut Bvh| {
         for rows in bvh.rows.chunks_mut(NODE_ROWS / 2) {
@@ -207,10 +237,15 @@ fn the_hierarchy_finds_what_asking_all_finds_to_the_bit() {
     assert!(walked(&gpu, 500, 30.0, shrunk)[3] > 100);
 }
 
+/// Of 1.6 million rays those that may meet another shape, or nothing, where what is fused decides: within rounding of an edge.
+const UNLIKE_ON_HARDWARE: usize = 160;
+
 /// One in a million may differ: from thousands of scene sizes away quads are now and then met where a ray passes beside their
 /// box. docs/ACCURACY.md
 #[test]
 #[ignore = "long: 16 million rays at 480 scenes; tests/run --long"]
 fn the_hierarchy_finds_what_asking_all_finds_in_480_scenes_but_for_one_ray_in_a_million() {
-    assert!(differing_from_the_hierarchy(&open_gpu(), 500..980) <= 16);
+    let gpu = open_gpu();
+    let allowed = if computes_to_the_letter(&gpu) { 16 } else { 10 * UNLIKE_ON_HARDWARE };
+    assert!(differing_from_the_hierarchy(&gpu, 500..980) <= allowed);
 }
