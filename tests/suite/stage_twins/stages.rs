@@ -364,7 +364,10 @@ impl Stagework<'_> {
         let radiance = self.after.all_radiance();
         let (lost, sums) = self.after.block_sums.split_first().unwrap();
         report.require(*lost == 0, || format!("{lost} samples were lost"));
-        let sums: &[BlockSum] = bytemuck::cast_slice(sums);
+        // The buffer may be larger than what lies in it.
+        let count = (uniforms.sample_count.div_ceil(BLOCK) * uniforms.pixel_count) as usize;
+        let words = size_of::<BlockSum>() / 4 * count;
+        let sums: &[BlockSum] = bytemuck::cast_slice(&sums[..words]);
         for block in 0..uniforms.sample_count.div_ceil(BLOCK) {
             let samples = block * BLOCK..uniforms.sample_count.min((block + 1) * BLOCK);
             for pixel in 0..uniforms.pixel_count {
