@@ -31,7 +31,6 @@ times() {
     echo; echo "### Many materials, long paths: direct light, 64 levels, no roulette, 640x480, 64 samples"
     "$ENGINE_TIMES" --scene scenes/glass-shelf.toml --size 640 480 --max-bounces 64 --direct-light true --roulette false --json "$rows"
     echo; echo "### Every scene as it is shipped, stratified, 640x480, 64 samples; and what auto takes"
-    # A process per scene: NVIDIA's driver hands out no adapter any more after some 35 devices in one process.
     for scene in scenes/*.toml; do
       "$ENGINE_TIMES" --scene "$scene" --size 640 480 --stratified --repetitions 5 --engines mega,fused --json "$rows" | tail -n 2
       echo "auto: $("$QTRACER" render "$scene" --size 64x48 --spp 1 -q --no-features --stats json -o "$scratch/auto.exr" 2>/dev/null | stat engine)"

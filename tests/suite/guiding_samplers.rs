@@ -1,7 +1,7 @@
 //! Guided directions against their densities, on the CPU: octants, quadtrees, Bansal's rule, and each of them mixed with
 //! the material's own choice.
 //!
-//! As in samplers.rs, each χ² test has α = 1e-4, and a density a few per cent off must have a chance below 1e-9.
+//! As in samplers/, each χ² test has α = 1e-4, and a density a few per cent off must have a chance below 1e-9.
 
 use crate::samplers::{ALPHA, Cells, WRONG};
 use crate::support::scene;
