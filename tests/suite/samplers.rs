@@ -422,9 +422,10 @@ fn lights_are_chosen_as_often_as_their_probability_says() {
     // And the probabilities go by power: area × radiance, of both sides of a sphere and one of a quad.
     let power = |light: &qtracer::scene::compiled::Light| {
         let emission = scene.materials[light.material as usize].emission.element_sum();
-        let area = match scene.quad_index(light.shape) {
-            None => 4.0 * std::f32::consts::PI * scene.spheres[light.shape as usize].radius.powi(2),
-            Some(i) => scene.quads[i].area,
+        let area = match scene.shape_index(light.shape) {
+            ShapeIndex::Sphere(i) => 4.0 * std::f32::consts::PI * scene.spheres[i].radius.powi(2),
+            ShapeIndex::Quad(i) => scene.quads[i].area,
+            ShapeIndex::Triangle(_) => unreachable!("no mesh shines here"),
         };
         emission * area
     };
