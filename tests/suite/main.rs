@@ -25,3 +25,4 @@ mod shapes_on_gpu;
 mod splitting;
 mod support;
 mod tables;
+mod triangles;

@@ -13,10 +13,11 @@ use qtracer::sampling::{
     AliasTable, pdf_cone, pdf_cosine, pdf_phong, sample_cone, sample_cosine, sample_phong,
 };
 use qtracer::scene::compiled::{
-    CompiledScene, KIND_DIELECTRIC, KIND_DIFFUSE, KIND_GLOSSY, KIND_MIRROR, Material,
+    CompiledScene, KIND_DIELECTRIC, KIND_DIFFUSE, KIND_GLOSSY, KIND_MIRROR, Material, ShapeIndex,
 };
-use qtracer::scene::shapes::{Ray, T_MISS, intersect_quad, intersect_sphere};
-use qtracer::scene::{Material as SceneMaterial, Scene};
+use qtracer::scene::shapes::{Ray, T_MISS, intersect, intersect_quad, intersect_sphere};
+use qtracer::scene::triangle::double_area;
+use qtracer::scene::{Material as SceneMaterial, MeshData, Scene};
 use qtracer::stats::{chi2_test, normal_two_sided_threshold, sidak};
 use qtracer::transport::light::{choose_light, pdf_light, sample_light};
 use std::f64::consts::{PI, TAU};
@@ -446,9 +447,10 @@ fn lamp(shape: impl FnOnce(qtracer::scene::SceneBuilder) -> qtracer::scene::Scen
 /// Distance at which a ray meets the scene's only shape; T_MISS if it does not.
 fn distance(scene: &CompiledScene, origin: Vec3, direction: Vec3) -> f32 {
     let ray = Ray { origin, direction };
-    match scene.spheres.first() {
-        Some(sphere) => intersect_sphere(&ray, sphere),
-        None => intersect_quad(&ray, &scene.quads[0]),
+    match scene.shape_index(0) {
+        ShapeIndex::Sphere(_) => intersect_sphere(&ray, &scene.spheres[0]),
+        ShapeIndex::Quad(_) => intersect_quad(&ray, &scene.quads[0]),
+        ShapeIndex::Triangle(_) => intersect(scene, ray).map_or(T_MISS, |hit| hit.t),
     }
 }
 
@@ -457,8 +459,17 @@ fn light_density(scene: &CompiledScene, origin: Vec3) -> impl Fn(Vec3) -> f64 {
     move |wi| match distance(scene, origin, wi) {
         T_MISS => 0.0,
         _ if scene.quads.first().is_some_and(|quad| quad.normal.dot(wi) >= 0.0) => 0.0,
+        _ if scene.triangles.first().is_some_and(|t| double_area(t.a, t.b, t.c).dot(wi) >= 0.0) => 0.0,
         t => pdf_light(scene, origin, 0, wi, t).into(),
     }
+}
+
+/// A lamp that looks down.
+const TRIANGLE: [[f64; 3]; 3] = [[-1.0, 2.0, -1.0], [1.0, 2.0, -0.5], [-0.5, 2.3, 1.5]];
+
+fn triangle() -> CompiledScene {
+    let positions = TRIANGLE.map(glam::DVec3::from_array).to_vec();
+    lamp(|b| b.mesh(MeshData { positions, triangles: vec![[0, 1, 2]], ..Default::default() }, "lamp"))
 }
 
 /// Scenes of one lamp, a point that it lights, and cells that hold it.
@@ -478,6 +489,12 @@ fn lit_points() -> Vec<(&'static str, CompiledScene, Vec3, Cells)> {
         let bottom = corners.iter().map(|c| f64::from(axis.dot(*c))).fold(1.0, f64::min) - 1e-4;
         Cells { axis, bottom, top: 1.0, rows: 24, columns: 24 }
     };
+    let around_triangle = |origin: Vec3| {
+        let corners = TRIANGLE.map(|corner| (Vec3::from_array(corner.map(|v| v as f32)) - origin).normalize());
+        let axis = corners.iter().sum::<Vec3>().normalize();
+        let bottom = corners.iter().map(|c| f64::from(axis.dot(*c))).fold(1.0, f64::min) - 1e-4;
+        Cells { axis, bottom, top: 1.0, rows: 24, columns: 24 }
+    };
     let cone = |radius: f64, origin: Vec3| {
         let sin2 = radius * radius / f64::from((centre - origin).length_squared());
         Cells { bottom: (1.0 - sin2).sqrt(), rows: 12, ..Cells::hemisphere((centre - origin).normalize()) }
@@ -494,6 +511,8 @@ fn lit_points() -> Vec<(&'static str, CompiledScene, Vec3, Cells)> {
         ),
         ("quad, near", quad(), below, around(&quad(), below)),
         ("quad, grazing", quad(), grazing, around(&quad(), grazing)),
+        ("triangle, near", triangle(), below, around_triangle(below)),
+        ("triangle, grazing", triangle(), grazing, around_triangle(grazing)),
     ]
 }
 
@@ -545,8 +564,9 @@ fn a_light_seen_from_its_dark_side_is_not_sampled() {
     let quad = lamp(|b| b.quad([-1.0, 2.0, -1.0], [2.0, 0.0, 0.0], [0.0, 0.0, 2.0], "lamp"));
     let outward = lamp(|b| b.sphere([0.0; 3], 1.0, "lamp"));
     let inward = lamp(|b| b.inward_sphere([0.0; 3], 1.0, "lamp"));
+    let above = Vec3::new(0.0, 3.0, 0.0);
     for (scene, dark) in
-        [(quad, Vec3::new(0.0, 3.0, 0.0)), (outward, Vec3::splat(0.1)), (inward, Vec3::splat(2.0))]
+        [(quad, above), (triangle(), above), (outward, Vec3::splat(0.1)), (inward, Vec3::splat(2.0))]
     {
         assert_eq!(sample_light(&scene, dark, 0, Vec2::splat(0.4)).pdf, 0.0);
     }

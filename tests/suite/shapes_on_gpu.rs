@@ -8,7 +8,7 @@ use qtracer::gpu::device::Gpu;
 use qtracer::gpu::key::{KernelKey, SmallScene};
 use qtracer::guiding::GuideMode;
 use qtracer::scene::bvh::{Bvh, NODE_ROWS};
-use qtracer::scene::compiled::{CompiledScene, Material, NONE, Quad, Sphere};
+use qtracer::scene::compiled::{CompiledScene, Material, NONE, Quad, ShapeIndex, Sphere};
 use qtracer::scene::rows::{self, Row};
 use qtracer::scene::shapes::{RELATIVE_OFFSET, T_MISS};
 use qtracer::scene::{Camera, Material as SceneMaterial, Scene, SceneBuilder};
@@ -592,18 +592,19 @@ fn crowd(numbers: &mut Numbers) -> CompiledScene {
 /// A point of a shape, or of the box around it.
 fn place(numbers: &mut Numbers, scene: &CompiledScene) -> DVec3 {
     let i = numbers.below(scene.spheres.len() + scene.quads.len());
-    match scene.quad_index(i as u32) {
-        None => {
+    match scene.shape_index(i as u32) {
+        ShapeIndex::Sphere(i) => {
             let Sphere { center, radius, .. } = scene.spheres[i];
             let around = [numbers.direction(), numbers.in_box(1.0).signum(), DVec3::ZERO][numbers.below(3)];
             center.as_dvec3() + around * f64::from(radius) * [1.0, 0.999, 1.0 + 1e-6][numbers.below(3)]
         }
-        Some(i) => {
+        ShapeIndex::Quad(i) => {
             let quad = &scene.quads[i];
             let share = |numbers: &mut Numbers| [0.0, 1.0, numbers.between(0.0, 1.0)][numbers.below(3)];
             let (a, b) = (share(numbers), share(numbers));
             quad.corner.as_dvec3() + quad.e1.as_dvec3() * a + quad.e2.as_dvec3() * b
         }
+        ShapeIndex::Triangle(_) => unreachable!("crowds have no meshes"),
     }
 }
 
@@ -613,8 +614,8 @@ fn grazing(numbers: &mut Numbers, scene: &CompiledScene) -> (DVec3, DVec3) {
     let mut small = || numbers.sign() * numbers.of_any_size(1e-8, 1e-3);
     let (by, along) = (small(), DVec3::new(small(), small(), small()) * 1e3);
     let i = numbers.below(scene.spheres.len() + scene.quads.len());
-    match scene.quad_index(i as u32) {
-        None => {
+    match scene.shape_index(i as u32) {
+        ShapeIndex::Sphere(i) => {
             let Sphere { center, radius, .. } = scene.spheres[i];
             let direction = along.normalize();
             // As far out as it goes along an axis, or any edge.
@@ -624,13 +625,14 @@ fn grazing(numbers: &mut Numbers, scene: &CompiledScene) -> (DVec3, DVec3) {
             };
             (center.as_dvec3() + out.normalize() * f64::from(radius) * (1.0 + by), direction)
         }
-        Some(i) => {
+        ShapeIndex::Quad(i) => {
             let Quad { corner, e1, e2, normal, .. } = scene.quads[i];
             let [corner, e1, e2, normal] = [corner, e1, e2, normal].map(|v| v.as_dvec3());
             let target =
                 corner + e1 * numbers.between(-0.01, 1.01) + e2 * [by.abs(), 1.0 + by][numbers.below(2)];
             (target, (e1 * along.x + e2 * along.y).normalize() + normal * by)
         }
+        ShapeIndex::Triangle(_) => unreachable!("crowds have no meshes"),
     }
 }
 
