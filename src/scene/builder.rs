@@ -197,7 +197,8 @@ impl SceneBuilder {
             .collect();
         for (index, draft) in shapes.into_iter().enumerate() {
             let object = shape_label(index, draft.name.as_deref());
-            let (material, sides) = resolve(draft.outline, &draft.material, &names).map_err(|fault| fault.of(&object, None))?;
+            let (material, sides) =
+                resolve(draft.outline, &draft.material, &names).map_err(|fault| fault.of(&object, None))?;
             scene.shapes.extend(sides.into_iter().map(|geometry| Shape {
                 name: draft.name.clone(),
                 material,
@@ -215,11 +216,7 @@ impl SceneBuilder {
 }
 
 /// The index of the material and the checked surfaces of an outline.
-fn resolve(
-    outline: Outline,
-    material: &str,
-    names: &MaterialNames,
-) -> Result<(usize, Vec<Geometry>), Fault> {
+fn resolve(outline: Outline, material: &str, names: &MaterialNames) -> Result<(usize, Vec<Geometry>), Fault> {
     let material = material_index(material, names)?;
     let sides = match outline {
         Outline::Plain(geometry) => {
@@ -232,7 +229,8 @@ fn resolve(
         }
         Outline::Mesh { data, placement } => {
             validate::placement(&placement)?;
-            let mesh = Mesh::new(&data.placed(&placement)).map_err(|problem| format!("the mesh {problem}"))?;
+            let mesh =
+                Mesh::new(&data.placed(&placement)).map_err(|problem| format!("the mesh {problem}"))?;
             vec![Geometry::Mesh(Arc::new(mesh))]
         }
     };

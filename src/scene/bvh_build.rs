@@ -124,7 +124,9 @@ impl Bvh {
             let middle = |i: &u32| shapes[*i as usize].0.center()[axis];
             let half = within.len() / 2;
             within.select_nth_unstable_by(half, |a, b| middle(a).total_cmp(&middle(b)));
-            for (side, part) in [range.start..range.start + half, range.start + half..range.end].into_iter().enumerate() {
+            for (side, part) in
+                [range.start..range.start + half, range.start + half..range.end].into_iter().enumerate()
+            {
                 let row = first + 2 * side;
                 let leaf = if part.len() == 1 { LEAF | order[part.start] } else { 0 };
                 bvh.set_child(row, (leaf, around(&order[part.clone()])));

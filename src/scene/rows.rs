@@ -159,7 +159,11 @@ mod tests {
                 let radius = f32::from_bits(whole[3]);
                 assert_eq!((&brief[..3], f32::from_bits(brief[3])), (&whole[..3], radius * radius));
             }
-            assert_eq!(rows.len(), 2 * spheres + 6 * quads + 3 * triangles + 2 * 4 + 2 * 5, "nothing lies there twice");
+            assert_eq!(
+                rows.len(),
+                2 * spheres + 6 * quads + 3 * triangles + 2 * 4 + 2 * 5,
+                "nothing lies there twice"
+            );
         }
     }
 

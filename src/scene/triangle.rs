@@ -52,8 +52,21 @@ pub fn intersect_triangle(origin: Vec3, view: &RayShear, a: Vec3, b: Vec3, c: Ve
     if !inside || sum == 0.0 {
         return 0.0;
     }
-    (u * from_a.z + v * from_b.z + w * from_c.z) / sum
+    let t = (u * from_a.z + v * from_b.z + w * from_c.z) / sum;
+    let reach = from_a.abs().max(from_b.abs().max(from_c.abs()));
+    if t > distance_error(reach, sum) { t } else { 0.0 }
 }
+
+/// What rounding makes of a distance: little, but for slivers, which a ray that starts on them must not meet. `reach` bounds
+/// the sheared corners.
+#[inline(always)]
+fn distance_error(reach: Vec3, sum: f32) -> f32 {
+    let beside = reach.x.max(reach.y);
+    ROUNDING * reach.z * beside * (beside + reach.z) / sum.abs()
+}
+
+/// Half the distance of 1 from the next number.
+const ROUNDING: f32 = f32::EPSILON / 2.0;
 
 /// Normal times twice the area, on the side from which a, b, c go counterclockwise.
 #[inline(always)]

@@ -148,11 +148,15 @@ fn without_meshes_nothing_of_triangles_is_linked() {
     };
     for name in ["cornell-box", "bansal-room-1", "many-lights"] {
         let names = all(&scene(name));
-        let foreign: Vec<_> = names.iter().filter(|name| name.contains("triangle") || *name == "ray_shear").collect();
+        let foreign: Vec<_> =
+            names.iter().filter(|name| name.contains("triangle") || *name == "ray_shear").collect();
         assert!(foreign.is_empty(), "{name} holds {foreign:?}");
         for (kernel, wgsl) in linked(&scene(name), &usual()) {
             let module = validate(&wgsl);
-            assert!(module.types.iter().all(|(_, ty)| ty.name.as_deref() != Some("Triangle")), "{kernel} of {name}");
+            assert!(
+                module.types.iter().all(|(_, ty)| ty.name.as_deref() != Some("Triangle")),
+                "{kernel} of {name}"
+            );
         }
     }
     // Negative control: with a mesh they are there, and light sampling only where it shines.

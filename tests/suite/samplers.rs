@@ -490,7 +490,8 @@ fn lit_points() -> Vec<(&'static str, CompiledScene, Vec3, Cells)> {
         Cells { axis, bottom, top: 1.0, rows: 24, columns: 24 }
     };
     let around_triangle = |origin: Vec3| {
-        let corners = TRIANGLE.map(|corner| (Vec3::from_array(corner.map(|v| v as f32)) - origin).normalize());
+        let corners =
+            TRIANGLE.map(|corner| (Vec3::from_array(corner.map(|v| v as f32)) - origin).normalize());
         let axis = corners.iter().sum::<Vec3>().normalize();
         let bottom = corners.iter().map(|c| f64::from(axis.dot(*c))).fold(1.0, f64::min) - 1e-4;
         Cells { axis, bottom, top: 1.0, rows: 24, columns: 24 }

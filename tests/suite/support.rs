@@ -1,14 +1,14 @@
 //! What the tests share: scenes, renders, the adapter under test.
 
+use glam::DVec3;
 use qtracer::film::Film;
 use qtracer::gpu::device::Gpu;
 use qtracer::gpu::stage::Schedule;
 use qtracer::guiding::GuideMode;
+use qtracer::scene::MeshData;
 use qtracer::transport::estimators::Estimators;
 use qtracer::transport::roulette::Roulette;
 use qtracer::{EngineChoice, Image, RenderOptions, RenderStats, Renderer, Sampler, Scene};
-use glam::DVec3;
-use qtracer::scene::MeshData;
 use std::collections::HashMap;
 use std::path::PathBuf;
 
@@ -66,7 +66,8 @@ pub fn scene(name: &str) -> Scene {
 pub fn icosphere(levels: u32) -> MeshData {
     let golden = (1.0 + 5f64.sqrt()) / 2.0;
     let around = |i: usize, a: f64, b: f64| DVec3::from_array([[0.0, a, b], [a, b, 0.0], [b, 0.0, a]][i]);
-    let corners = (0..12).map(|i| around(i / 4, [-1.0, 1.0][i % 2], [-golden, golden][i / 2 % 2]).normalize());
+    let corners =
+        (0..12).map(|i| around(i / 4, [-1.0, 1.0][i % 2], [-golden, golden][i / 2 % 2]).normalize());
     let mut positions: Vec<DVec3> = corners.collect();
     let near = |a: usize, b: usize| positions[a].distance(positions[b]) < 1.1;
     let mut triangles = Vec::new();

@@ -28,7 +28,9 @@ impl MeshData {
 pub(in crate::scene) fn of_scene(name: &str, folder: Option<&Path>) -> Result<MeshData, String> {
     let file = format!("file {}", quoted(name));
     let Some(folder) = folder else {
-        return Err(format!("{file} is looked for beside the scene, which has no folder; load the scene from a file"));
+        return Err(format!(
+            "{file} is looked for beside the scene, which has no folder; load the scene from a file"
+        ));
     };
     let path = within(folder, Path::new(name)).map_err(|problem| format!("{file} {problem}"))?;
     read(&path).map_err(|problem| format!("{file} {problem}"))
@@ -41,7 +43,9 @@ fn within(folder: &Path, name: &Path) -> Result<PathBuf, String> {
     let path = folder.join(name).canonicalize().map_err(|error| io_problem(&error))?;
     match path.starts_with(&folder) {
         true => Ok(path),
-        false => Err("lies outside the scene's folder; copy it there and name it relative to the scene".to_owned()),
+        false => {
+            Err("lies outside the scene's folder; copy it there and name it relative to the scene".to_owned())
+        }
     }
 }
 

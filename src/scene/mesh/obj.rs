@@ -13,7 +13,8 @@ pub(super) fn read(mut source: impl BufRead) -> Result<MeshData, String> {
     let mut bytes = Vec::new();
     source.read_to_end(&mut bytes).map_err(|error| format!("can't be read: {error}"))?;
     let text = String::from_utf8_lossy(&bytes);
-    let options = LoadOptions { triangulate: true, ignore_points: true, ignore_lines: true, ..Default::default() };
+    let options =
+        LoadOptions { triangulate: true, ignore_points: true, ignore_lines: true, ..Default::default() };
     let no_materials = |_: &std::path::Path| Err(LoadError::OpenFileFailed);
     let (models, _) = tobj::load_obj_buf(&mut text.as_bytes(), &options, no_materials).map_err(problem)?;
     let mut data = MeshData::default();
@@ -26,9 +27,15 @@ pub(super) fn read(mut source: impl BufRead) -> Result<MeshData, String> {
 /// Adds one object. Normals are kept where each corner has one of its own, which few files of several objects keep up.
 fn add(data: &mut MeshData, mesh: &tobj::Mesh) -> Result<(), String> {
     let vectors = |values: &[f32]| -> Vec<DVec3> {
-        values.as_chunks().0.iter().map(|&[x, y, z]: &[f32; 3]| DVec3::new(x.into(), y.into(), z.into())).collect()
+        values
+            .as_chunks()
+            .0
+            .iter()
+            .map(|&[x, y, z]: &[f32; 3]| DVec3::new(x.into(), y.into(), z.into()))
+            .collect()
     };
-    let first = u32::try_from(data.positions.len()).map_err(|_| "has too many corners; split it".to_owned())?;
+    let first =
+        u32::try_from(data.positions.len()).map_err(|_| "has too many corners; split it".to_owned())?;
     let own_normals = mesh.normals.len() == mesh.positions.len() && mesh.normal_indices == mesh.indices;
     let all_had_normals = data.normals.len() == data.positions.len();
     data.positions.extend(vectors(&mesh.positions));
@@ -45,7 +52,9 @@ fn add(data: &mut MeshData, mesh: &tobj::Mesh) -> Result<(), String> {
 fn problem(error: LoadError) -> String {
     match error {
         LoadError::ReadError => format!("can't be read: {}", ErrorKind::UnexpectedEof),
-        LoadError::FaceVertexOutOfBounds => "has a face with a corner that it does not have; write it anew".to_owned(),
+        LoadError::FaceVertexOutOfBounds => {
+            "has a face with a corner that it does not have; write it anew".to_owned()
+        }
         error => format!("is not a valid OBJ file ({error}); write it anew"),
     }
 }

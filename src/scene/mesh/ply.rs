@@ -149,7 +149,9 @@ fn fits(header: &Header, length: u64) -> Result<(), String> {
     let needed: u128 = elements().map(needs).sum();
     // The last line may lack its end.
     if needed > u128::from(length) + 1 {
-        return Err(format!("promises {needed} bytes in its header and has {length}; it is cut short or damaged, write it anew"));
+        return Err(format!(
+            "promises {needed} bytes in its header and has {length}; it is cut short or damaged, write it anew"
+        ));
     }
     Ok(())
 }

@@ -111,7 +111,11 @@ fn every_form_of_a_file_gives_the_same_mesh() {
 
 #[test]
 fn a_mesh_is_scaled_then_turned_then_moved() {
-    let data = MeshData { positions: vec![DVec3::X, DVec3::Y, DVec3::Z], normals: vec![DVec3::X; 3], ..Default::default() };
+    let data = MeshData {
+        positions: vec![DVec3::X, DVec3::Y, DVec3::Z],
+        normals: vec![DVec3::X; 3],
+        ..Default::default()
+    };
     let translate = DVec3::new(10.0, 0.0, 0.0);
     let placed = data.clone().placed(&Placement { scale: 2.0, rotate_y_deg: 90.0, translate });
     // A quarter turn counterclockwise from above takes x to −z and z to x, as it turns a box.
@@ -122,7 +126,11 @@ fn a_mesh_is_scaled_then_turned_then_moved() {
 }
 
 fn triangle(corners: [[f64; 3]; 3]) -> MeshData {
-    MeshData { positions: corners.map(DVec3::from_array).to_vec(), normals: vec![], triangles: vec![[0, 1, 2]] }
+    MeshData {
+        positions: corners.map(DVec3::from_array).to_vec(),
+        normals: vec![],
+        triangles: vec![[0, 1, 2]],
+    }
 }
 
 #[test]
@@ -218,7 +226,8 @@ fn a_scene_finds_its_meshes_in_its_own_folder_and_nowhere_else() {
     std::fs::write(inner.join("short.ply"), &PLY[..PLY.len() - 8]).unwrap();
     std::fs::write(inner.join("a.stl"), "solid").unwrap();
 
-    let scene = scene_with(&inner, "file = 'meshes/../meshes/a.PLY'\nscale = 0.5\ntranslate = [1, 0, 0]").unwrap();
+    let scene =
+        scene_with(&inner, "file = 'meshes/../meshes/a.PLY'\nscale = 0.5\ntranslate = [1, 0, 0]").unwrap();
     let crate::scene::Geometry::Mesh(mesh) = &scene.shapes[0].geometry else { panic!("a mesh") };
     assert_eq!(mesh.triangles().next().unwrap()[0], Vec3::new(0.5, 0.0, -0.5));
 
