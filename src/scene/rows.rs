@@ -55,6 +55,11 @@ pub fn pack(scene: &CompiledScene) -> Vec<Row> {
     parts(scene).iter().flat_map(Part::rows).collect()
 }
 
+/// Bytes of all rows, before there are any.
+pub fn bytes(scene: &CompiledScene) -> u64 {
+    parts(scene).iter().map(|part| (part.len() * size_of::<Row>()) as u64).sum()
+}
+
 /// Rows of an aligned quad in [`hot`].
 pub const ALIGNED_ROWS: usize = 2;
 
@@ -153,6 +158,7 @@ mod tests {
             for (i, light) in scene.lights.iter().enumerate() {
                 assert_eq!(item::<Light>(&rows, i, Light::ROWS, at.first_light_row, 0), *light);
             }
+            assert_eq!(bytes(&scene), size_of_val(&rows[..]) as u64);
             let hot = hot(&scene);
             assert_eq!(hot[spheres..], rows[spheres..spheres + 4 * quads], "no quad is aligned");
             for (brief, whole) in hot.iter().zip(&rows[..spheres]) {

@@ -105,6 +105,12 @@ pub fn sample_light(scene: &CompiledScene, origin: Vec3, shape: u32, u: Vec2) ->
     }
 }
 
+#[inline(always)]
+fn pdf_quad_light(scene: &CompiledScene, i: usize, wi: Vec3, t: f32) -> f32 {
+    let quad = &scene.quads[i];
+    t * t / (wi.dot(quad.normal).abs().max(1e-20) * quad.area)
+}
+
 /// Density with which [`sample_light`] from `origin` would have chosen the direction `wi` that met `shape` at distance t.
 #[inline(always)]
 pub fn pdf_light(scene: &CompiledScene, origin: Vec3, shape: u32, wi: Vec3, t: f32) -> f32 {
@@ -118,10 +124,7 @@ pub fn pdf_light(scene: &CompiledScene, origin: Vec3, shape: u32, wi: Vec3, t: f
             }
             pdf_cone(sphere_cone(distance2, sphere.radius))
         }
-        ShapeIndex::Quad(i) => {
-            let quad = &scene.quads[i];
-            t * t / (wi.dot(quad.normal).abs().max(1e-20) * quad.area)
-        }
+        ShapeIndex::Quad(i) => pdf_quad_light(scene, i, wi, t),
         ShapeIndex::Triangle(i) => {
             let Triangle { a, b, c, .. } = scene.triangles[i];
             2.0 * t * t / wi.dot(double_area(a, b, c)).abs().max(1e-30)

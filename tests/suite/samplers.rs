@@ -480,6 +480,7 @@ fn lit_points() -> Vec<(&'static str, CompiledScene, Vec3, Cells)> {
     // e1 × e2 points down.
     let below = Vec3::new(0.2, 0.5, 0.3);
     let grazing = Vec3::new(-4.0, 1.6, 0.0);
+    let aslant = Vec3::new(-3.0, 1.2, 0.3);
     // Directions to a quad are nearest to that of its middle in a cap that its corners bound.
     let around = |scene: &CompiledScene, origin: Vec3| {
         let quad = &scene.quads[0];
@@ -513,7 +514,7 @@ fn lit_points() -> Vec<(&'static str, CompiledScene, Vec3, Cells)> {
         ("quad, near", quad(), below, around(&quad(), below)),
         ("quad, grazing", quad(), grazing, around(&quad(), grazing)),
         ("triangle, near", triangle(), below, around_triangle(below)),
-        ("triangle, grazing", triangle(), grazing, around_triangle(grazing)),
+        ("triangle, aslant", triangle(), aslant, around_triangle(aslant)),
     ]
 }
 
