@@ -437,3 +437,21 @@ fn guiding_learns_on_triangles() {
         assert!(deviation.abs() < 4.0 * error && error < 1e-2, "{engine:?}: {deviation} off, s.e. {error}");
     }
 }
+
+/// Pictures of different meshes have different fingerprints, so their shards are not merged; what was learnt in one is not
+/// taken for the other.
+#[test]
+fn a_moved_corner_is_another_scene() {
+    let scene = |by: f64| {
+        let mut data = icosphere(1);
+        data.positions[7].x += by;
+        one_mesh(data)
+    };
+    let camera = furnace(0, 0.5).camera;
+    let prints = |by: f64| {
+        let compiled = scene(by);
+        (compiled.fingerprint(&compiled.uniforms(&camera, 8, 8, 1)), compiled.light_fingerprint())
+    };
+    let ((a, b), (c, d)) = (prints(0.0), prints(1e-3));
+    assert!(a != c && b != d && prints(0.0) == (a, b));
+}
