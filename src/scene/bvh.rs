@@ -5,7 +5,7 @@ use super::compiled::{CompiledScene, ShapeIndex, Triangle};
 use super::rows::Row;
 use super::shapes::{Hit, Ray, T_MISS, intersect_quad, intersect_sphere};
 use super::triangle::{RayShear, intersect_triangle, ray_shear};
-use glam::Vec3;
+use glam::{Vec3, Vec3A, Vec4};
 
 /// Marks the number of a shape where a node could stand.
 pub const LEAF: u32 = 1 << 31;
@@ -36,18 +36,18 @@ fn inverse_direction(direction: Vec3) -> Vec3 {
 }
 
 #[inline(always)]
-fn corner(row: &Row) -> Vec3 {
-    Vec3::new(f32::from_bits(row[0]), f32::from_bits(row[1]), f32::from_bits(row[2]))
+fn corner(row: &Row) -> Vec3A {
+    Vec3A::from_vec4(Vec4::from_array(row.map(f32::from_bits)))
 }
 
 /// Where the ray enters the box, T_MISS if it does not before `t_max`.
 #[inline(always)]
-fn box_distance(origin: Vec3, inverse: Vec3, low: &Row, high: &Row, t_max: f32) -> f32 {
+fn box_distance(origin: Vec3A, inverse: Vec3A, low: &Row, high: &Row, t_max: f32) -> f32 {
     let a = (corner(low) - origin) * inverse;
     let b = (corner(high) - origin) * inverse;
     let (near, far) = (a.min(b), a.max(b));
-    let enter = near.x.max(near.y).max(near.z.max(0.0));
-    let leave = far.x.min(far.y).min(far.z.min(t_max));
+    let enter = near.max_element().max(0.0);
+    let leave = far.min_element().min(t_max);
     if enter <= leave * FAR_SIDE { enter } else { T_MISS }
 }
 
@@ -60,10 +60,10 @@ struct ChildrenMet {
 }
 
 #[inline(always)]
-fn children_met(bvh: &Bvh, node: u32, origin: Vec3, inverse: Vec3, t_max: f32) -> ChildrenMet {
+fn children_met(bvh: &Bvh, node: u32, walker: &Walker, t_max: f32) -> ChildrenMet {
     let [low0, high0, low1, high1] = &bvh.rows.as_chunks().0[node as usize];
-    let t0 = box_distance(origin, inverse, low0, high0, t_max);
-    let t1 = box_distance(origin, inverse, low1, high1, t_max);
+    let t0 = box_distance(walker.origin, walker.inverse, low0, high0, t_max);
+    let t1 = box_distance(walker.origin, walker.inverse, low1, high1, t_max);
     let (nearer, farther) = if t0 <= t1 { (low0[3], low1[3]) } else { (low1[3], low0[3]) };
     ChildrenMet { any: t0.min(t1) < T_MISS, both: t0.max(t1) < T_MISS, nearer, farther }
 }
@@ -71,13 +71,15 @@ fn children_met(bvh: &Bvh, node: u32, origin: Vec3, inverse: Vec3, t_max: f32) -
 /// A ray with what nodes and triangles ask of it.
 struct Walker {
     ray: Ray,
-    inverse: Vec3,
+    origin: Vec3A,
+    inverse: Vec3A,
     view: RayShear,
 }
 
 #[inline(always)]
 fn walker(ray: Ray) -> Walker {
-    Walker { ray, inverse: inverse_direction(ray.direction), view: ray_shear(ray.direction) }
+    let inverse = inverse_direction(ray.direction).into();
+    Walker { ray, origin: ray.origin.into(), inverse, view: ray_shear(ray.direction) }
 }
 
 /// Distance to one shape, T_MISS if there is none.
@@ -133,7 +135,7 @@ pub fn intersect(scene: &CompiledScene, bvh: &Bvh, ray: Ray) -> Option<Hit> {
                 hit = Hit { t, shape };
             }
         } else {
-            let met = children_met(bvh, at, ray.origin, walker.inverse, hit.t);
+            let met = children_met(bvh, at, &walker, hit.t);
             if met.any {
                 at = met.nearer;
                 if met.both {
@@ -161,7 +163,7 @@ pub fn occluded(scene: &CompiledScene, bvh: &Bvh, ray: Ray, t_max: f32, excluded
                 return true;
             }
         } else {
-            let met = children_met(bvh, at, ray.origin, walker.inverse, t_max);
+            let met = children_met(bvh, at, &walker, t_max);
             if met.any {
                 at = met.nearer;
                 if met.both {
