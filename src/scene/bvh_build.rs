@@ -108,28 +108,24 @@ impl Bvh {
         bvh
     }
 
-    /// A hierarchy of least depth, for shapes that drive the other one too deep for a walk: halves along the longest side.
+    /// A hierarchy of least depth over two shapes or more, for those that drive the other one too deep for a walk: halves along
+    /// the longest side.
     fn balanced(shapes: &[Bounds]) -> Bvh {
         let mut order: Vec<u32> = (0..shapes.len() as u32).collect();
         let around = |shapes_in: &[u32]| {
             shapes_in.iter().fold(Aabb::INVALID, |all, &i| all.union(&shapes[i as usize].0))
         };
-        if let [only] = order[..] {
-            return Bvh::of_one((LEAF | only, shapes[0].0));
-        }
         let mut bvh = Bvh::default();
         let mut open = vec![(0..order.len(), None, 1)];
         while let Some((range, parent, depth)) = open.pop() {
             let first = bvh.add_node(parent, depth);
             let within = &mut order[range.clone()];
-            let side = around(within).diagonal();
-            let axis = (0..3).max_by(|&a, &b| side[a].total_cmp(&side[b])).unwrap_or(0);
+            let axis = around(within).largest_axis();
             let middle = |i: &u32| shapes[*i as usize].0.center()[axis];
             let half = within.len() / 2;
             within.select_nth_unstable_by(half, |a, b| middle(a).total_cmp(&middle(b)));
-            for (side, part) in
-                [range.start..range.start + half, range.start + half..range.end].into_iter().enumerate()
-            {
+            let half = range.start + half;
+            for (side, part) in [range.start..half, half..range.end].into_iter().enumerate() {
                 let row = first + 2 * side;
                 let leaf = if part.len() == 1 { LEAF | order[part.start] } else { 0 };
                 bvh.set_child(row, (leaf, around(&order[part.clone()])));
@@ -223,6 +219,16 @@ mod tests {
         }
         assert!(seen.iter().all(|&n| n == 1), "{name}: {seen:?}");
         assert_eq!(deepest, bvh.depth, "{name}");
+    }
+
+    /// Shells within shells are joined one by one, which would be a walk's depth.
+    #[test]
+    fn no_hierarchy_is_deeper_than_a_walk_remembers() {
+        let shell = |i| Sphere { radius: 1.05f32.powi(i), ..Default::default() };
+        let scene = CompiledScene { spheres: (0..300).map(shell).collect(), ..Default::default() };
+        let bvh = Bvh::new(&scene);
+        assert!(bvh.depth <= MOST_DEPTH, "{}", bvh.depth);
+        holds_every_shape_once("shells", &scene, &bvh);
     }
 
     /// Threads share the work of building; what they build is the same.
