@@ -65,7 +65,7 @@ fn case(c: &mut Criterion, name: &str, schedule: &str, guided: bool) -> Result<(
     let guide = if guided { "-adaptive" } else { "" };
     let mut group = c.benchmark_group(format!("{name}/{schedule}{guide}"));
     group.sample_size(10).warm_up_time(Duration::from_millis(300)).measurement_time(Duration::from_secs(1));
-    while let Some(RecordedStage { name: stage, items }) = recorded.stage() {
+    while let Some(RecordedStage { name: stage, items, .. }) = recorded.stage() {
         let seconds = RefCell::new(Vec::new());
         group.throughput(Throughput::Elements(items.max(1)));
         group.bench_function(BenchmarkId::from_parameter(&stage), |b| {

@@ -2,6 +2,7 @@
 
 use glam::{Vec2, Vec3};
 use std::f32::consts::{FRAC_1_PI, PI};
+use std::ops::Range;
 
 /// Direction about +z with density cosθ/π, in sr⁻¹. `u` in [0, 1)².
 #[inline]
@@ -58,7 +59,7 @@ pub fn pdf_phong(one_minus_cos: f32, exponent: f32) -> f32 {
 /// One row of an [`AliasTable`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct AliasRow {
-    /// Probability of this entry.
+    /// Probability of this entry: how many of the 2²⁴ numbers that may be drawn choose it, exactly.
     pub probability: f32,
     /// The share of this row that is the entry itself; the rest is `alias`.
     pub threshold: f32,
@@ -71,33 +72,78 @@ pub struct AliasTable {
     pub rows: Vec<AliasRow>,
 }
 
-impl AliasTable {
-    /// `weights` are positive and finite. Probabilities are those that the rounded thresholds really give, so that what
-    /// is sampled is what is evaluated.
-    pub fn new(weights: &[f64]) -> AliasTable {
-        let count = weights.len();
-        let total: f64 = weights.iter().sum();
-        let mut share: Vec<f64> = weights.iter().map(|w| w / total * count as f64).collect();
-        let (mut small, mut large): (Vec<usize>, Vec<usize>) = (0..count).partition(|&i| share[i] < 1.0);
-        let mut rows: Vec<AliasRow> =
-            (0..count).map(|i| AliasRow { probability: 0.0, threshold: 1.0, alias: i as u32 }).collect();
-        while let (Some(s), Some(&l)) = (small.pop(), large.last()) {
-            rows[s].threshold = share[s] as f32;
-            rows[s].alias = l as u32;
-            share[l] -= 1.0 - share[s];
-            if share[l] < 1.0 {
-                small.push(l);
-                large.pop();
-            }
+/// How many numbers may be drawn: the multiples of 2⁻²⁴ below 1.
+const DRAWABLE: u32 = 1 << 24;
+/// Entries are drawn at least this much as often as the average one, however light. Rare ones would else be drawn by one
+/// number or by none, whatever they weigh.
+const LEAST_SHARE: f64 = 1.0 / 4096.0;
+
+/// The row of a table of `count` that `u` falls into, and how far into it.
+#[inline(always)]
+pub fn alias_row(count: u32, u: f32) -> (u32, f32) {
+    let scaled = u * count as f32;
+    let i = (scaled as u32).min(count - 1);
+    (i, scaled - i as f32)
+}
+
+/// The first of `numbers`, in units of 2⁻²⁴, that reaches something; the end of the range if none does.
+fn first_reaching(numbers: Range<u32>, reaches: impl Fn(f32) -> bool) -> u32 {
+    let Range { mut start, mut end } = numbers;
+    while start < end {
+        let middle = start + (end - start) / 2;
+        match reaches(middle as f32 / DRAWABLE as f32) {
+            true => end = middle,
+            false => start = middle + 1,
         }
-        let mut probability = vec![0.0; count];
-        for (i, row) in rows.iter().enumerate() {
-            probability[i] += f64::from(row.threshold);
-            probability[row.alias as usize] += 1.0 - f64::from(row.threshold);
-        }
-        for (row, p) in rows.iter_mut().zip(&probability) {
-            row.probability = (p / count as f64) as f32;
-        }
-        AliasTable { rows }
     }
+    start
+}
+
+impl AliasTable {
+    /// `weights` are positive and finite. Probabilities are those with which entries are really drawn, so that what is
+    /// sampled is what is evaluated: by weight but for rounding, and for entries lighter than 1/4096 of the average.
+    pub fn new(weights: &[f64]) -> AliasTable {
+        let mut table = AliasTable { rows: split_among_rows(weights) };
+        table.count_draws();
+        table
+    }
+
+    /// The probabilities, by counting the numbers that lead to each entry.
+    fn count_draws(&mut self) {
+        let count = self.rows.len() as u32;
+        let mut draws = vec![0u32; self.rows.len()];
+        let mut begin = 0;
+        for (i, row) in (0..count).zip(&self.rows) {
+            let end = first_reaching(begin..DRAWABLE, |u| alias_row(count, u).0 > i);
+            let alias = first_reaching(begin..end, |u| alias_row(count, u).1 >= row.threshold);
+            draws[i as usize] += alias - begin;
+            draws[row.alias as usize] += end - alias;
+            begin = end;
+        }
+        for (row, draws) in self.rows.iter_mut().zip(draws) {
+            row.probability = draws as f32 / DRAWABLE as f32;
+        }
+    }
+}
+
+/// Rows without probabilities: each holds what is left of a light entry and tops up with a heavy one.
+fn split_among_rows(weights: &[f64]) -> Vec<AliasRow> {
+    let count = weights.len();
+    let average = weights.iter().sum::<f64>() / count as f64;
+    let weights: Vec<f64> = weights.iter().map(|w| w.max(LEAST_SHARE * average)).collect();
+    let total: f64 = weights.iter().sum();
+    let mut share: Vec<f64> = weights.iter().map(|w| w / total * count as f64).collect();
+    let (mut small, mut large): (Vec<usize>, Vec<usize>) = (0..count).partition(|&i| share[i] < 1.0);
+    let mut rows: Vec<AliasRow> =
+        (0..count).map(|i| AliasRow { probability: 0.0, threshold: 1.0, alias: i as u32 }).collect();
+    while let (Some(s), Some(&l)) = (small.pop(), large.last()) {
+        rows[s].threshold = share[s] as f32;
+        rows[s].alias = l as u32;
+        share[l] -= 1.0 - share[s];
+        if share[l] < 1.0 {
+            small.push(l);
+            large.pop();
+        }
+    }
+    rows
 }

@@ -363,6 +363,29 @@ fn meshes_that_cannot_be_used_are_refused_with_the_file_and_the_remedy() {
     }
 }
 
+/// Colours far above 1 are allowed, and overflow f32 in a closed room: told of once, and black rather than infinite.
+#[test]
+fn samples_that_are_no_numbers_are_told_of_once_and_by_number() {
+    let place = Place::new();
+    let furnace = include_str!("../scenes/furnace-closed-99.toml");
+    place.write("hot.toml", furnace.replace("color = [0.99, 0.99, 0.99]", "color = [1e6, 1e6, 1e6]"));
+    place.write("right.toml", furnace);
+    let render = |scene: &str| {
+        let size = ["--size", "8x8", "--spp", "3", "--engine", "cpu", "--no-features", "--stats", "json"];
+        place.succeed(&[&["render", scene, "-o", "out.exr"], &size[..]].concat())
+    };
+    let lost = |outcome: &Outcome| -> serde_json::Value {
+        serde_json::from_str::<serde_json::Value>(&outcome.stdout).unwrap()["lost_samples"].clone()
+    };
+    let hot = render("hot.toml");
+    assert_eq!(lost(&hot), 192);
+    assert_eq!(hot.stderr.matches("warning: 192 of 192 samples came out").count(), 1, "{}", hot.stderr);
+    assert!(hot.stderr.contains("Lower colors above 1"), "{}", hot.stderr);
+    assert!(place.image("out.exr").rgb.iter().all(|rgb| *rgb == [0.0; 3]));
+    let right = render("right.toml");
+    assert!(lost(&right) == 0 && !right.stderr.contains("warning"), "{}", right.stderr);
+}
+
 #[test]
 fn one_render_fills_several_files_and_says_so_on_stderr_only() {
     let place = Place::new();
@@ -416,6 +439,7 @@ fn stats_are_all_that_stdout_holds() {
     assert_eq!((&stats["width"], &stats["height"]), (&20.into(), &10.into()));
     assert_eq!((&stats["samples"], &stats["paths"]), (&3.into(), &600.into()));
     assert_eq!((&stats["engine"], &stats["complete"]), (&"cpu".into(), &true.into()));
+    assert_eq!(stats["lost_samples"], 0);
     for number in ["wall_seconds", "mpaths_per_second", "relative_error", "seed"] {
         assert!(stats[number].is_number(), "{number}");
     }

@@ -180,11 +180,14 @@ impl<L: Lanes> Distances<L> for SphereBlock<L> {
         let approach = along(f, ray.direction, b);
         let discriminant = radius2.sub(dot(approach, approach));
         let root = discriminant.sqrt();
-        let q = L::select(zero.le(b), b.add(root), b.sub(root));
-        let other = dot(f, f).sub(radius2).div(q);
-        let (near, far) = (other.min(q), other.max(q));
-        let t = L::select(zero.lt(near), near, far);
-        L::select(zero.le(discriminant).and(zero.lt(t)), t, L::splat(T_MISS))
+        let near = b.sub(root);
+        let t = L::select(zero.lt(near), near, b.add(root));
+        let ahead = zero.le(discriminant).and(zero.lt(t));
+        // As refine_sphere_distance.
+        let sum = L::select(zero.le(b), b, b.neg()).add(root);
+        let refined = dot(f, f).sub(radius2).div(L::select(zero.le(b), sum, sum.neg()));
+        let cancels = t.lt(sum.mul(L::splat(0.5))).and(zero.lt(refined));
+        L::select(ahead, L::select(cancels, refined, t), L::splat(T_MISS))
     }
 }
 

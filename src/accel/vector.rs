@@ -23,10 +23,6 @@ pub trait Lanes: Copy {
     fn div(self, o: Self) -> Self;
     fn neg(self) -> Self;
     fn sqrt(self) -> Self;
-    /// The smaller one; `o` where either is no number.
-    fn min(self, o: Self) -> Self;
-    /// The larger one; `o` where either is no number.
-    fn max(self, o: Self) -> Self;
     fn lt(self, o: Self) -> Self::Mask;
     fn le(self, o: Self) -> Self::Mask;
     fn ne(self, o: Self) -> Self::Mask;
@@ -103,15 +99,6 @@ impl Lanes for Fours {
     #[inline(always)]
     fn sqrt(self) -> Self {
         Fours(self.0.map(Vec4::sqrt))
-    }
-    // Not glam's own, which treat NaN by what the processor does.
-    #[inline(always)]
-    fn min(self, o: Self) -> Self {
-        self.map(o, |a, b| Vec4::select(a.cmplt(b), a, b))
-    }
-    #[inline(always)]
-    fn max(self, o: Self) -> Self {
-        self.map(o, |a, b| Vec4::select(a.cmpgt(b), a, b))
     }
     #[inline(always)]
     fn lt(self, o: Self) -> Self::Mask {
@@ -205,14 +192,6 @@ mod avx2 {
         #[inline(always)]
         fn sqrt(self) -> Self {
             Avx2(unsafe { _mm256_sqrt_ps(self.0) })
-        }
-        #[inline(always)]
-        fn min(self, o: Self) -> Self {
-            Avx2(unsafe { _mm256_min_ps(self.0, o.0) })
-        }
-        #[inline(always)]
-        fn max(self, o: Self) -> Self {
-            Avx2(unsafe { _mm256_max_ps(self.0, o.0) })
         }
         #[inline(always)]
         fn lt(self, o: Self) -> Self {

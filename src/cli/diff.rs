@@ -1,7 +1,7 @@
 //! The difference of two images as an image.
 
 use qtracer::Image;
-use qtracer::film::{ImageError, WriteOptions, luminance, write_image};
+use qtracer::film::{ImageError, WriteOptions, false_colour, luminance, write_image};
 use std::path::Path;
 
 /// ε of the relative difference, so that black pixels do not shout.
@@ -22,16 +22,6 @@ pub fn write(path: &Path, a: &Image, b: &Image, range: f32) -> Result<(), ImageE
 fn relative(a: [f32; 3], b: [f32; 3]) -> f32 {
     let [a, b] = [a, b].map(|rgb| luminance(rgb.map(f64::from)) as f32);
     (a - b) / (b.abs() + EPSILON)
-}
-
-/// Red above 0, blue below, black at 0, full at ±1 and beyond; green for what is no number.
-fn false_colour(value: f32) -> [f32; 3] {
-    let strength = value.abs().min(1.0);
-    match value {
-        v if v.is_nan() => [0.0, 1.0, 0.0],
-        v if v > 0.0 => [strength, 0.1 * strength, 0.0],
-        _ => [0.0, 0.1 * strength, strength],
-    }
 }
 
 #[cfg(test)]

@@ -10,7 +10,7 @@ use super::stats::{self, Report};
 use super::stop::{Goal, State};
 use qtracer::engine::GuideView;
 use qtracer::film::{WriteOptions, write_image};
-use qtracer::{EngineKind, Image, RenderError, Renderer};
+use qtracer::{EngineKind, Image, RenderError, RenderStats, Renderer};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -228,6 +228,7 @@ impl<'a> Ending<'a> {
             ));
         }
         let report = Report::new(self.job, self.renderer, self.complete, self.preparation, self.elapsed);
+        lost_samples(&report.engine).iter().for_each(console::warning);
         if !self.job.quiet {
             console::line(report.summary(written));
         }
@@ -235,6 +236,18 @@ impl<'a> Ending<'a> {
             self.problems.extend(failure.into_messages());
         }
     }
+}
+
+/// What to say of samples that were no numbers, if there were any.
+fn lost_samples(stats: &RenderStats) -> Option<String> {
+    let (lost, all) = (stats.lost_samples, stats.paths);
+    (lost > 0).then(|| {
+        format!(
+            "{lost} of {all} samples came out infinite or as no number; they count as black, so the image is too dark where \
+             they fell. Lower colors above 1 and bring sizes and radiances closer together; if they are ordinary ones, this \
+             is a fault of qtracer or of the driver: compare with --engine cpu and report it"
+        )
+    })
 }
 
 /// The picture of what was learnt in place of the image. Only radiance can be exposed.
@@ -303,6 +316,24 @@ mod tests {
         assert_eq!(messages[1], "the image written has 3 samples per pixel of 8");
         let image = read_image(&job.outputs[0]).unwrap();
         assert!(image.samples.unwrap().iter().all(|&count| count == 3.0));
+    }
+
+    /// NaN can't be written into a scene file; it is put in behind the validation.
+    #[test]
+    fn samples_that_are_no_numbers_are_told_of_once_and_by_number() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut job = job(folder.path().join("out.exr"));
+        let lost = |job: &Job| {
+            let mut renderer = Renderer::new(&job.scene, job.options.clone()).unwrap();
+            while renderer.samples() < 5 {
+                renderer.step(5 - renderer.samples()).unwrap();
+            }
+            lost_samples(&renderer.stats())
+        };
+        assert_eq!(lost(&job), None);
+        job.scene.environment.y = f64::NAN;
+        let text = lost(&job).unwrap();
+        assert!(text.starts_with("60 of 60 samples came out infinite or as no number"), "{text}");
     }
 
     #[test]

@@ -43,8 +43,8 @@ impl CpuEngine {
         CpuEngine { scene, uniforms, estimators, strategy, guide: None, stats }
     }
 
-    /// One pass: the samples `range` of every pixel, rows in parallel. How many rays that took.
-    fn pass(&self, range: &Range<u32>, film: &mut Film, cancel: &CancelToken) -> u64 {
+    /// One pass: the samples `range` of every pixel, rows in parallel.
+    fn pass(&self, range: &Range<u32>, film: &mut Film, cancel: &CancelToken) -> Spent {
         let width = self.uniforms.width as usize;
         let uniforms = Uniforms {
             pixel_count: self.uniforms.width * self.uniforms.height,
@@ -68,38 +68,53 @@ impl CpuEngine {
             }),
         };
         let rows = film.pixels_mut().par_chunks_mut(width).enumerate();
-        let rays = rows.map(|(row, pixels)| {
+        let spent = rows.map(|(row, pixels)| {
             let samples = uniforms.sample_count;
             let group = (PATHS_AT_ONCE / samples.max(1)).max(1) as usize;
-            let mut rays = 0;
+            let mut spent = Spent::default();
             if cancel.is_cancelled() {
-                return rays;
+                return spent;
             }
             for (number, pixels) in pixels.chunks_mut(group).enumerate() {
                 let first = (row * width + number * group) as u32;
                 for begin in (0..samples).step_by(PATHS_AT_ONCE as usize) {
                     let end = samples.min(begin.saturating_add(PATHS_AT_ONCE));
-                    rays += trace_group(&transport, pixels, first, begin..end);
+                    spent = spent.and(trace_group(&transport, pixels, first, begin..end));
                 }
             }
-            rays
+            spent
         });
-        rays.sum()
+        spent.reduce(Spent::default, Spent::and)
+    }
+}
+
+/// What tracing took, and what it lost.
+#[derive(Clone, Copy, Default)]
+struct Spent {
+    rays: u64,
+    /// Samples that the film could not count.
+    lost: u64,
+}
+
+impl Spent {
+    fn and(self, other: Spent) -> Spent {
+        Spent { rays: self.rays + other.rays, lost: self.lost + other.lost }
     }
 }
 
 /// Some samples of neighbouring pixels, the first of which is number `first`, added to their sums in the order of the
-/// samples. How many rays that took.
-fn trace_group(transport: &Transport, pixels: &mut [PixelSum], first: u32, samples: Range<u32>) -> u64 {
+/// samples.
+fn trace_group(transport: &Transport, pixels: &mut [PixelSum], first: u32, samples: Range<u32>) -> Spent {
     let of_pixel =
         |pixel| samples.clone().map(move |sample| sample * transport.uniforms.pixel_count + first + pixel);
     let paths: Vec<u32> = (0..pixels.len() as u32).flat_map(of_pixel).collect();
     let mut radiance = vec![Vec3::ZERO; paths.len()];
     let rays = trace_all(transport, &paths, &mut radiance);
+    let mut lost = 0;
     for (pixel, samples) in pixels.iter_mut().zip(radiance.chunks(samples.len())) {
-        samples.iter().for_each(|&sample| pixel.add(sample));
+        samples.iter().for_each(|&sample| lost += u64::from(!pixel.add_traced(sample)));
     }
-    rays
+    Spent { rays, lost }
 }
 
 impl Engine for CpuEngine {
@@ -124,7 +139,9 @@ impl Engine for CpuEngine {
         let mut sample = range.start;
         while sample < range.end && !cancel.is_cancelled() {
             let end = range.end.min(sample.saturating_add(longest));
-            self.stats.rays += self.pass(&(sample..end), film, cancel);
+            let spent = self.pass(&(sample..end), film, cancel);
+            self.stats.rays += spent.rays;
+            self.stats.lost_samples += spent.lost;
             self.stats.paths += u64::from(pixels) * u64::from(end - sample);
             sample = end;
         }

@@ -17,6 +17,8 @@ use std::collections::HashMap;
 use std::time::Instant;
 use wgpu::BufferUsages;
 
+/// Bytes before the sums: the number of samples that were lost.
+const LOST_BYTES: u64 = 4;
 /// Bytes of radiance per path, and where paths split per place.
 const RADIANCE_BYTES: u64 = 12;
 /// Paths of a batch by kind of adapter: enough to fill it, few enough that a step stays short.
@@ -100,7 +102,7 @@ impl GpuFilm {
         // With one sample per pixel, the sums take more than the radiance.
         let path_bytes = RADIANCE_BYTES * u64::from(key.places);
         let widest = path_bytes.max(size_of::<BlockSum>() as u64);
-        let limit = gpu.summary.max_binding.min(gpu.summary.max_buffer) / widest;
+        let limit = (gpu.summary.max_binding.min(gpu.summary.max_buffer) - 16) / widest;
         // A pass over all pixels in one batch where that is possible at all, and never more than will be asked for. Places
         // count as paths do: a batch with splitting takes no more memory.
         let places = batch.max(pixels.min(1 << 25)).min(u64::from(u32::MAX));
@@ -182,7 +184,7 @@ impl GpuFilm {
     /// Makes the radiance and the sums large enough for `batch`; true if bind groups must be made anew.
     pub fn reserve(&mut self, batch: &Batch) -> Result<bool, RenderError> {
         let radiance = u64::from(batch.paths()) * self.path_bytes;
-        let sums = u64::from(batch.pixel_count * batch.blocks()) * size_of::<BlockSum>() as u64;
+        let sums = sums_bytes(batch);
         let have = self.buffers.bytes();
         let enough = |name: &str, bytes: u64| have.get(name).is_some_and(|&b| b >= bytes);
         if enough("radiance", radiance) && enough("block_sums", sums) {
@@ -190,7 +192,7 @@ impl GpuFilm {
         }
         let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC;
         self.buffers.create(&self.gpu, "radiance", radiance, usage)?;
-        self.buffers.create(&self.gpu, "block_sums", sums, usage)?;
+        self.buffers.create(&self.gpu, "block_sums", sums, usage | BufferUsages::COPY_DST)?;
         self.stats.buffers = self.buffers.bytes();
         self.resolve_bind = Some(self.bind(Stage::Resolve, &[]));
         Ok(true)
@@ -351,13 +353,14 @@ impl GpuFilm {
     pub fn send_sums(&mut self, batch: &Batch) {
         let bind = self.resolve_bind.clone();
         let items = batch.pixel_count * batch.blocks();
-        let bytes = u64::from(items) * size_of::<BlockSum>() as u64;
+        let bytes = sums_bytes(batch);
         // Kept from batch to batch: a new one of tens of megabytes costs milliseconds of page faults.
         let staging = match self.sums_staging.take() {
             Some(staging) if staging.size() >= bytes + TICK_BYTES => staging,
             _ => self.staging(bytes + TICK_BYTES),
         };
         let sums = self.buffers.get("block_sums").clone();
+        self.gpu.queue.write_buffer(&sums, 0, &[0; LOST_BYTES as usize]);
         let flight = self.launch_into(staging, Some((sums, bytes)), |this, pass| {
             pass.set_pipeline(&this.kernels[&Stage::Resolve].pipeline);
             pass.set_bind_group(0, bind.as_ref(), &[]);
@@ -371,13 +374,16 @@ impl GpuFilm {
     pub fn receive_sums(&mut self, film: &mut Film) -> Result<(), RenderError> {
         let Some((batch, flight)) = self.pending.take() else { return Ok(()) };
         let staging = flight.staging.clone();
-        self.land(flight, |bytes| {
+        let (lost, _) = self.land(flight, |bytes| {
+            let (lost, bytes) = bytes.split_at(LOST_BYTES as usize);
             let size = batch.pixel_count as usize * size_of::<BlockSum>();
             for (block, sums) in bytes.chunks(size).enumerate() {
                 let samples = batch.block_samples(block as u32);
                 film.add_block(batch.first_pixel as usize, samples, bytemuck::cast_slice(sums));
             }
+            bytemuck::pod_read_unaligned::<u32>(lost)
         })?;
+        self.stats.lost_samples += u64::from(lost);
         self.sums_staging = Some(staging);
         self.stats.paths += u64::from(batch.paths());
         Ok(())
@@ -387,6 +393,11 @@ impl GpuFilm {
     pub fn forget_sums(&mut self) {
         self.pending = None;
     }
+}
+
+/// Bytes of the sums of a batch, and of what lies before them.
+fn sums_bytes(batch: &Batch) -> u64 {
+    LOST_BYTES + u64::from(batch.pixel_count * batch.blocks()) * size_of::<BlockSum>() as u64
 }
 
 /// Bytes of the two time stamps behind what a flight copies.

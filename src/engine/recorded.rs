@@ -1,10 +1,11 @@
 //! A level of the wavefront engine, held still: each of its stages can be run on the same queues again and again, to time it.
-//! For benches; renders don't come here.
+//! For benches and tests; renders don't come here.
 
 use super::super::batch::full_batch;
 use super::super::gpu_film::grid;
 use super::super::guided::Guided;
 use super::*;
+use crate::guiding::GuideTable;
 use crate::scene::Scene;
 
 /// What a level changes, but for radiance and the sums of what is learnt: adding to those once more takes as long.
@@ -14,6 +15,7 @@ const CHANGED: [&str; 7] = ["counters", "arguments", "rays_a", "rays_b", "hits",
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecordedStage {
     pub name: String,
+    pub stage: Stage,
     /// Items that it works on; 1 for the stages that run once a level.
     pub items: u64,
 }
@@ -25,6 +27,8 @@ pub struct RecordedLevel {
     /// Names and copies of what the stage may change.
     saved: Vec<(&'static str, wgpu::Buffer)>,
     counters: Vec<u32>,
+    /// What guides paths, if anything does.
+    table: Option<GuideTable>,
     /// Which ray queue the level reads.
     parity: usize,
     /// Place of the stage in the level; `resolve` comes behind the last.
@@ -33,7 +37,7 @@ pub struct RecordedLevel {
 
 impl RecordedLevel {
     /// Renders the first batch up to level number `level` (0 has nothing but fresh paths), and stops before its first stage.
-    /// Whatever learns has an empty table.
+    /// Whatever learns starts from the table in the options, without one from an empty one.
     pub fn record(scene: &Scene, options: &RenderOptions, level: u32) -> Result<RecordedLevel, RenderError> {
         options.validate(scene)?;
         let compiled = CompiledScene::new(scene);
@@ -47,7 +51,9 @@ impl RecordedLevel {
         let keys = Keys { own: KernelKey::new(&compiled, &estimators), plain: None };
         let gpu = Gpu::open(options.adapter.as_deref())?;
         let mut engine = WavefrontEngine::new(gpu, &compiled, uniforms, keys, options)?;
-        Guided::start(options, estimators, &compiled, &uniforms, &mut engine)?;
+        let guided = Guided::start(options, estimators, &compiled, &uniforms, &mut engine)?;
+        let unknown = vec![0.0; (width * height) as usize];
+        let table = guided.map(|guided| guided.learner().clone().table(true, &unknown));
         let batch = full_batch(width * height, engine.gpu.max_paths);
         engine.prepare(&batch)?;
         engine.gpu.write_uniforms(&engine.gpu.batch_uniforms(&batch));
@@ -58,7 +64,8 @@ impl RecordedLevel {
             bytemuck::cast_slice(&counters),
         );
         let parity = (level % 2) as usize;
-        let mut recorded = RecordedLevel { engine, batch, saved: Vec::new(), counters, parity, place: 0 };
+        let saved = Vec::new();
+        let mut recorded = RecordedLevel { engine, batch, saved, counters, table, parity, place: 0 };
         for before in 0..level {
             (recorded.counters, _) =
                 recorded.engine.submit_levels(before, 1, &mut Film::new(width, height))?;
@@ -94,7 +101,7 @@ impl RecordedLevel {
             Stage::Resolve => u64::from(self.batch.paths()),
             _ => 1,
         };
-        Some(RecordedStage { name: stage.name(), items })
+        Some(RecordedStage { name: stage.name(), stage, items })
     }
 
     /// Runs the stage once on the queues as they were before it, and returns its seconds. Copying the queues back is not in
@@ -126,6 +133,42 @@ impl RecordedLevel {
         self.run()?;
         self.place += 1;
         self.save()
+    }
+
+    /// Goes on to the first stage of the next level. All stages of this one but `resolve`, which changes no queue, must be
+    /// behind it.
+    pub fn next_level(&mut self) {
+        assert_eq!(self.current(), Some(Stage::Resolve), "the level is not at its end");
+        (self.place, self.parity) = (0, 1 - self.parity);
+    }
+
+    /// The words of a buffer as the next stage finds it, by the name that kernels call it: `rays_in` are the rays of this
+    /// level. None if there is no such buffer.
+    pub fn words(&self, name: &str) -> Result<Option<Vec<u32>>, RenderError> {
+        let rays = ["rays_a", "rays_b"];
+        let name = match name {
+            "rays_in" => rays[self.parity],
+            "rays_out" => rays[1 - self.parity],
+            name => name,
+        };
+        let Some(bytes) = self.engine.gpu.buffers.size(name) else { return Ok(None) };
+        let read = self.engine.gpu.gpu.read(&[(self.engine.gpu.buffers.get(name), bytes)])?;
+        Ok(Some(bytemuck::pod_collect_to_vec(&read[0])))
+    }
+
+    /// What the kernels are told of the batch.
+    pub fn uniforms(&self) -> Uniforms {
+        self.engine.gpu.batch_uniforms(&self.batch)
+    }
+
+    /// What the kernels were linked for.
+    pub fn key(&self) -> &KernelKey {
+        &self.engine.gpu.key
+    }
+
+    /// The table that guides paths.
+    pub fn table(&self) -> Option<&GuideTable> {
+        self.table.as_ref()
     }
 
     fn current(&self) -> Option<Stage> {

@@ -4,7 +4,7 @@ use crate::gpu_struct;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::Image;
+use super::{Image, is_countable};
 
 /// Sums of one pixel's samples, in f64: 1e9 samples leave seven digits.
 #[derive(Debug, Clone, Copy, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
@@ -24,6 +24,13 @@ impl PixelSum {
             self.sum_sq[channel] += value * value;
         }
         self.count += 1;
+    }
+
+    /// Adds a sample as it was traced, or black if it is not countable; whether it was.
+    pub fn add_traced(&mut self, rgb: Vec3) -> bool {
+        let countable = is_countable(rgb);
+        self.add(if countable { rgb } else { Vec3::ZERO });
+        countable
     }
 
     /// Adds the sums of `samples` samples.

@@ -2,8 +2,10 @@
 
 mod accumulate;
 mod combined;
+mod countable;
 mod error;
 mod exr_file;
+mod false_colour;
 mod image;
 mod metadata;
 mod png_file;
@@ -15,7 +17,9 @@ mod write;
 
 pub use accumulate::{BlockSum, Film, FilmError, PixelSum, luminance};
 pub use combined::{CombinedFilm, rough_luminances};
+pub use countable::{BRIGHTEST, is_countable};
 pub use error::ImageError;
+pub use false_colour::false_colour;
 pub use image::{Features, GuideLayers, Image};
 pub use metadata::Metadata;
 pub use read::{MAX_PIXELS, read_image};

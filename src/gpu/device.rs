@@ -2,7 +2,7 @@
 
 use super::error::GpuError;
 use super::kernel::Kernel;
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, LazyLock, Mutex};
 use wgpu::{Adapter, DeviceType, Features};
 
 /// What is known of a GPU before it is opened.
@@ -30,15 +30,16 @@ pub struct Gpu {
     failure: Arc<Mutex<Option<GpuError>>>,
 }
 
-fn instance() -> wgpu::Instance {
+/// One for the process: NVIDIA's driver gives no adapter any more after some 35 instances.
+static INSTANCE: LazyLock<wgpu::Instance> = LazyLock::new(|| {
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle_from_env();
     // Indirect arguments are written and clamped by our own kernels; validating them took a prototype from 57 to 90 ms.
     descriptor.flags.remove(wgpu::InstanceFlags::VALIDATION_INDIRECT_CALL);
     wgpu::Instance::new(descriptor)
-}
+});
 
 fn adapters() -> Vec<Adapter> {
-    let mut adapters = pollster::block_on(instance().enumerate_adapters(wgpu::Backends::all()));
+    let mut adapters = pollster::block_on(INSTANCE.enumerate_adapters(wgpu::Backends::all()));
     adapters.retain(|a| a.get_downlevel_capabilities().flags.contains(wgpu::DownlevelFlags::COMPUTE_SHADERS));
     adapters.sort_by_key(|a| match a.get_info().device_type {
         DeviceType::DiscreteGpu => 0,

@@ -1,6 +1,7 @@
 //! The scene as the transport sees it: f32, flat arrays, lights with their table. GPU twin: kernels/scene/data.wesl
 
 use super::bvh::Bvh;
+use super::shapes::RELATIVE_OFFSET;
 use super::triangle::double_area;
 use super::{Camera, Geometry, MaterialKind, Mesh, Scene, rows};
 use crate::gpu_struct;
@@ -176,6 +177,8 @@ impl CompiledScene {
                     inward: inward as u32,
                 }),
                 &Geometry::Quad { corner, e1, e2 } => {
+                    let shines = scene.materials[shape.material].is_emissive();
+                    let [corner, e1, e2] = if shines { [corner, e1, e2] } else { widened([corner, e1, e2]) };
                     let quad = compile_quad(corner, e1, e2);
                     compiled.quads.push(Quad { material, kind, light: NONE, ..quad });
                 }
@@ -210,6 +213,15 @@ impl CompiledScene {
         match behind_spheres.checked_sub(self.quads.len()) {
             None => ShapeIndex::Quad(behind_spheres),
             Some(triangle) => ShapeIndex::Triangle(triangle),
+        }
+    }
+
+    /// Index among the quads of a shape number, None if it is no quad.
+    #[inline]
+    pub fn quad_index(&self, shape: u32) -> Option<usize> {
+        match self.shape_index(shape) {
+            ShapeIndex::Quad(i) => Some(i),
+            _ => None,
         }
     }
 
@@ -357,6 +369,23 @@ fn compile_material(material: &super::Material) -> Material {
     }
 }
 
+/// How far quads reach beyond their edges, relative to their largest coordinate: a quarter of the offset at which rays start.
+/// Without that, rays slip between two that share an edge where they pass it within 2⁻²⁴ of coordinates and length.
+const EDGE_MARGIN: f64 = RELATIVE_OFFSET as f64 / 4.0;
+/// … but not farther than this share of their size.
+const WIDEST_MARGIN: f64 = 1e-3;
+
+/// Corner and sides of a quad with its edges moved outwards, rounded to f32 so that all that is made of them agrees. Not for
+/// lamps, whose area is their power.
+fn widened([corner, e1, e2]: [DVec3; 3]) -> [DVec3; 3] {
+    let corners = [corner, corner + e1, corner + e2, corner + e1 + e2];
+    let largest = corners.iter().fold(0.0f64, |most, v| most.max(v.abs().max_element()));
+    let area = e1.cross(e2).length();
+    // Of each side, the share by which the edges at its ends move: their distance is the area over the other side.
+    let [a, b] = [e2, e1].map(|other| (EDGE_MARGIN * largest * other.length() / area).min(WIDEST_MARGIN));
+    [corner - e1 * a - e2 * b, e1 * (1.0 + 2.0 * a), e2 * (1.0 + 2.0 * b)].map(|v| v.as_vec3().as_dvec3())
+}
+
 fn compile_quad(corner: DVec3, e1: DVec3, e2: DVec3) -> Quad {
     let cross = e1.cross(e2);
     let normal = cross.normalize();
@@ -375,4 +404,30 @@ fn compile_quad(corner: DVec3, e1: DVec3, e2: DVec3) -> Quad {
 
 fn compile_mesh(mesh: &Mesh, material: u32, kind: u32) -> impl Iterator<Item = Triangle> + '_ {
     mesh.triangles().map(move |[a, b, c]| Triangle { a, material, b, kind, c, light: NONE })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quads_reach_a_quarter_of_an_offset_beyond_their_edges_and_lamps_do_not() {
+        let described = [DVec3::new(3.0, -2.0, 5.0), DVec3::new(4.0, 0.0, 0.0), DVec3::new(2.0, 0.0, 2.0)];
+        let [corner, e1, e2] = widened(described);
+        // The farthest corner is at x = 9: the edges move 9 · 2⁻²² = 2.1e-6, which f32 rounds by a tenth and more.
+        let margin = 9.0 * EDGE_MARGIN;
+        let moved = described[0].z - corner.z;
+        assert!((moved / margin - 1.0).abs() < 0.3, "{moved:e} for {margin:e}");
+        let far = (corner + e2).z - (described[0] + described[2]).z;
+        assert!((far / margin - 1.0).abs() < 0.3, "{far:e} for {margin:e}");
+        assert!(e1.z == 0.0 && e1.y == 0.0 && e1.x > 4.0, "{e1} leaves its axis");
+        // Far away a small quad grows by a five hundredth at most.
+        let [_, e1, _] = widened([DVec3::splat(1e6), DVec3::X, DVec3::Y]);
+        assert!((e1.x - 1.002).abs() < 1e-6, "{e1}");
+        let lamp = crate::Scene::load("scenes/cornell-box.toml").unwrap();
+        let quads = CompiledScene::new(&lamp).quads;
+        let sizes: Vec<f32> =
+            quads.iter().filter(|q| q.light != NONE).flat_map(|q| [q.e1.x, q.e2.z]).collect();
+        assert_eq!(sizes, [130.0, 105.0]);
+    }
 }

@@ -60,6 +60,7 @@ mod document;
 mod error;
 mod fields;
 mod load;
+mod resolution;
 #[cfg(test)]
 mod tests;
 mod validate;

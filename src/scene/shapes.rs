@@ -53,11 +53,21 @@ pub fn intersect_sphere(ray: &Ray, sphere: &Sphere) -> f32 {
         return T_MISS;
     }
     let root = discriminant.sqrt();
-    let q = if b >= 0.0 { b + root } else { b - root };
-    let other = (f.dot(f) - sphere.radius * sphere.radius) / q;
-    let (near, far) = (q.min(other), q.max(other));
-    let t = if near > 0.0 { near } else { far };
-    if t > 0.0 { t } else { T_MISS }
+    let near = b - root;
+    let t = if near > 0.0 { near } else { b + root };
+    if t > 0.0 { refine_sphere_distance(f, sphere.radius, (b, root), t) } else { T_MISS }
+}
+
+/// The distance `t` = b ± root with an error smaller where it cancels: taken from the product of both solutions. Only there,
+/// since of a ray that starts in the surface along it both solutions and their product are rounding errors.
+#[inline(always)]
+fn refine_sphere_distance(f: Vec3, radius: f32, (b, root): (f32, f32), t: f32) -> f32 {
+    let sum = b.abs() + root;
+    if t >= sum * 0.5 {
+        return t;
+    }
+    let refined = (f.dot(f) - radius * radius) / if b >= 0.0 { sum } else { -sum };
+    if refined > 0.0 { refined } else { t }
 }
 
 /// Distance along the ray to the parallelogram, T_MISS if none.

@@ -4,6 +4,7 @@ use std::fmt;
 
 use super::coincidence::coincident;
 use super::error::quoted;
+use super::resolution::Resolution;
 use super::validate::shape_label;
 use super::{Geometry, Material, Repairs, Scene, Shape};
 
@@ -34,6 +35,17 @@ pub enum SceneWarning {
         /// How many of which kind.
         repairs: Repairs,
     },
+    /// Shapes are so small, so far from the origin, that rays leave them at a distance that matters.
+    BelowResolution {
+        /// The worst of them, as errors call it.
+        shape: String,
+        /// Its radius, or the lesser height of a parallelogram.
+        size: f64,
+        /// How far beside it rays start.
+        offset: f64,
+        /// How many others there are.
+        others: usize,
+    },
 }
 
 impl fmt::Display for SceneWarning {
@@ -59,6 +71,14 @@ impl fmt::Display for SceneWarning {
                 "{mesh}: left out {degenerate} triangles without area and {duplicate} that repeat another; clean the mesh \
                  to be rid of this"
             ),
+            Self::BelowResolution { shape, size, offset, others } => {
+                let more = if *others > 0 { format!(" (and {others} more)") } else { String::new() };
+                write!(
+                    f,
+                    "{shape}{more} measures only {size:.1e} where rays start {offset:.1e} beside surfaces, so light on \
+                     and near it is wrong; move the scene towards the origin"
+                )
+            }
         }
     }
 }
@@ -73,6 +93,7 @@ impl Scene {
         warnings.extend(self.materials.iter().filter_map(albedo_warning));
         warnings.extend(self.flush_lamps());
         warnings.extend(self.repaired_meshes());
+        warnings.extend(self.below_resolution());
         warnings
     }
 
@@ -84,6 +105,17 @@ impl Scene {
             (repairs != Repairs::default())
                 .then(|| SceneWarning::MeshRepaired { mesh: shape_label(index, name), repairs })
         })
+    }
+
+    /// One warning for all shapes that are too small where they are.
+    fn below_resolution(&self) -> Option<SceneWarning> {
+        let resolutions = self.shapes.iter().map(|shape| Resolution::of(&shape.geometry)).enumerate();
+        let poor: Vec<_> = resolutions.filter(|(_, resolution)| resolution.is_poor()).collect();
+        let ratio = |&(_, Resolution { size, offset }): &(usize, Resolution)| size / offset;
+        let worst = poor.iter().min_by(|a, b| ratio(a).total_cmp(&ratio(b)))?;
+        let &(index, Resolution { size, offset }) = worst;
+        let shape = shape_label(index, self.shapes[index].name.as_deref());
+        Some(SceneWarning::BelowResolution { shape, size, offset, others: poor.len() - 1 })
     }
 
     /// One warning for each lamp that coincides with another shape.

@@ -2,7 +2,7 @@
 //! GPU twin: kernels/transport/light.wesl
 
 use crate::math::to_world;
-use crate::sampling::{pdf_cone, sample_cone};
+use crate::sampling::{alias_row, pdf_cone, sample_cone};
 use crate::scene::compiled::{CompiledScene, ShapeIndex, Triangle};
 use crate::scene::triangle::{double_area, sample_triangle};
 use glam::{Vec2, Vec3};
@@ -18,15 +18,12 @@ pub struct LightSample {
     pub pdf: f32,
 }
 
-/// Walker's alias method: O(1), exact up to the rounding of the thresholds and of `u`, which has steps of 2⁻²⁴: among n
-/// lights, one chosen less often than n · 2⁻²⁴ can be off by tens of per cent.
+/// Walker's alias method: O(1). `pick_probability` counts the values of `u`, multiples of 2⁻²⁴, that choose a light.
 #[inline(always)]
 pub fn choose_light(scene: &CompiledScene, u: f32) -> u32 {
-    let count = scene.lights.len() as u32;
-    let scaled = u * count as f32;
-    let i = (scaled as u32).min(count - 1);
+    let (i, share) = alias_row(scene.lights.len() as u32, u);
     let light = &scene.lights[i as usize];
-    if scaled - i as f32 >= light.threshold { light.alias_index } else { i }
+    if share >= light.threshold { light.alias_index } else { i }
 }
 
 /// The cone that a sphere subtends, as 1 − cosθmax = sin²θmax / (1 + cosθmax), which small cones keep exact.
@@ -55,7 +52,9 @@ fn sample_sphere_light(scene: &CompiledScene, origin: Vec3, i: usize, u: Vec2) -
     let one_minus_cos_max = sphere_cone(distance2, sphere.radius);
     let local = sample_cone(u, one_minus_cos_max);
     let distance = distance2.sqrt();
-    let sin2 = 1.0 - local.z * local.z;
+    // From 1 − cosθ, as sample_cone has it: 1 − cos²θ of a small cone is rounding, and t would be off by the radius.
+    let one_minus_cos = u.x * one_minus_cos_max;
+    let sin2 = one_minus_cos * (2.0 - one_minus_cos);
     let half_chord2 = sphere.radius * sphere.radius - distance2 * sin2;
     LightSample {
         wi: to_world(local, to_center / distance),

@@ -36,6 +36,10 @@ pub struct Transport<'a> {
     pub guidance: Option<Guidance<'a>>,
 }
 
+/// Throughput below which a path ends, 2⁻¹⁰⁰: what it could still bring is less than any f32 sum shows, and quotients of
+/// numbers near the end of f32's range are not to be trusted on every GPU.
+pub const LEAST_THROUGHPUT: f32 = 7.888_609e-31;
+
 /// What shading decides at one hit.
 #[derive(Clone, Debug, Default)]
 pub struct ShadeOutcome<'a> {
@@ -251,8 +255,8 @@ impl<'a> Transport<'a> {
 
     /// The ray with which a path goes on in that direction, with these places; None if nothing can come of it.
     fn go_on(&self, at: &Departure, scattered: &BsdfSample, survival: f32, own: Share) -> Option<RayItem> {
-        let throughput = at.ray.throughput * scattered.weight / survival;
-        if throughput.max_element() <= 0.0 {
+        let carried = at.ray.throughput * scattered.weight;
+        if carried.max_element() <= LEAST_THROUGHPUT {
             return None;
         }
         let next = spawn_ray(at.surface, scattered.wi);
@@ -261,7 +265,7 @@ impl<'a> Transport<'a> {
             path: own.place,
             direction: next.direction,
             bounce: pack_bounce(bounce_of(at.ray) + 1, own.budget),
-            throughput,
+            throughput: carried / survival,
             pdf: scattered.pdf,
         })
     }

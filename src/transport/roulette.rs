@@ -35,8 +35,13 @@ impl fmt::Display for Roulette {
 
 /// Bounces from which roulette by throughput is played: the fourth surface and later ones.
 pub const ROULETTE_FROM_BOUNCE: u32 = 3;
+/// Roulette by throughput lets at least this share of paths go on, so that the steps of 2⁻²⁴ of the number that decides are
+/// small against it: a chance of 2⁻²⁴ or less would else be taken for one of 2⁻²⁴, and dark paths come out too bright.
+pub const LEAST_SURVIVAL_BY_THROUGHPUT: f32 = 1.0 / 1024.0;
 /// Learnt roulette lets at least this share of paths go on, since what was learnt may be wrong.
 pub const LEAST_SURVIVAL: f32 = 0.05;
+/// Estimates of a pixel below this, 2⁻¹⁰⁰, are taken for none: quotients by less are not to be trusted on every GPU.
+const LEAST_ESTIMATE: f32 = 7.888_609e-31;
 
 impl Transport<'_> {
     /// Chance with which the path goes on, or how many copies of it are to go on on average; each carries the weight of
@@ -59,13 +64,13 @@ impl Transport<'_> {
         }
     }
 
-    /// min(1, largest component). Never at glass, where the solid-angle factor comes and goes.
+    /// The largest component, up to 1. Never at glass, where the solid-angle factor comes and goes.
     #[inline]
-    fn throughput_survival(&self, throughput: Vec3, bounce: u32, kind: u32) -> f32 {
+    pub fn throughput_survival(&self, throughput: Vec3, bounce: u32, kind: u32) -> f32 {
         if bounce < ROULETTE_FROM_BOUNCE || kind == KIND_DIELECTRIC {
             return 1.0;
         }
-        (throughput.max_element() * self.uniforms.roulette_scale).min(1.0)
+        (throughput.max_element() * self.uniforms.roulette_scale).clamp(LEAST_SURVIVAL_BY_THROUGHPUT, 1.0)
     }
 
     /// What going on is expected to bring over the estimate of the pixel, at most as many copies as the path may become;
@@ -79,7 +84,7 @@ impl Transport<'_> {
         key: SampleKey,
     ) -> Option<f32> {
         let estimate = self.guidance?.table.pixel_estimate(key.pixel);
-        if point.mean <= 0.0 || estimate <= 0.0 {
+        if point.mean <= 0.0 || estimate <= LEAST_ESTIMATE {
             return None;
         }
         let expected = luminance(ray.throughput * material.color) * point.share * point.mean;

@@ -375,7 +375,7 @@ fn share_by_quadrature(normal: Vec3, octant: u32) -> f64 {
     (0..STEPS).map(|i| step * inner(step * (i as f64 + 0.5))).sum::<f64>() / PI
 }
 
-fn share_error(normal: Vec3, octant: u32, share: f32) -> f64 {
+pub fn share_error(normal: Vec3, octant: u32, share: f32) -> f64 {
     (f64::from(share) - share_by_quadrature(normal, octant)).abs()
 }
 

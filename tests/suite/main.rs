@@ -7,7 +7,10 @@
 //! Tests of the GPU fail, and do not skip, where there is no adapter: `tests/run` installs a software one.
 
 mod bench_report;
+mod energy;
 mod engines;
+mod extremes;
+mod failing_images;
 mod films;
 mod floors;
 mod furnace;
@@ -16,13 +19,18 @@ mod guiding_maths;
 mod guiding_renders;
 mod guiding_samplers;
 mod kernels;
+mod lost_samples;
+mod oracles;
+mod placement;
 mod probe;
 mod queues;
 mod recorded_levels;
 mod references;
+mod rooms;
 mod samplers;
-mod shapes_on_gpu;
+mod shapes;
 mod splitting;
+mod stage_twins;
 mod support;
 mod tables;
 mod triangles;

@@ -2,9 +2,12 @@
 //! images with their standard errors, made by examples/shrink_reference; a small pixel covers exactly one block, so
 //! rendering at the small size estimates the same values. Box filter, 64 levels, no roulette there.
 
+use crate::failing_images::expect_agreement;
+use crate::guiding_renders::guided;
 use crate::support::*;
 use qtracer::film::read_image;
 use qtracer::gpu::stage::Schedule;
+use qtracer::guiding::GuideMode;
 use qtracer::stats::{Comparison, ComparisonOptions, ZTestOptions};
 use qtracer::transport::roulette::Roulette;
 use qtracer::{Image, RenderOptions};
@@ -31,55 +34,139 @@ pub fn with_expected_errors(mut image: Image, reference: &Image, spp: u32) -> Im
     image
 }
 
-/// Renders a scene and compares it with its reference: α = 1e-3 that a right image fails. An image 2 % brighter must
-/// fail the same test, so the samples are enough to see that much.
-fn agrees_with_mitsuba(file: &str, reference_name: &str, engine: Engine, spp: u32, seed: u32) {
-    let reference = reference(reference_name);
-    let options = RenderOptions {
-        direct_light: Some(true),
-        roulette: Some(Roulette::Throughput),
-        max_bounces: Some(64),
-        ..small(reference.width, reference.height, seed)
-    };
-    let image = render(&scene(file), engine, &options, spp).image;
-    let image = with_expected_errors(image, &reference, spp);
-    let comparison = compare(&image, &reference);
-    println!("{file} on {engine:?}\n{comparison}");
-    assert_eq!(comparison.passes(), Some(true), "{file} on {engine:?}, {spp} samples:\n{comparison}");
-    let control = compare(&brightened(&image, 1.02), &reference);
-    assert_eq!(control.passes(), Some(false), "2 % brighter passes: {file} on {engine:?}\n{control}");
+/// A render that is to agree with a reference.
+#[derive(Clone, Copy, Debug)]
+pub struct Against {
+    /// The scene's file.
+    pub file: &'static str,
+    /// The reference's.
+    pub name: &'static str,
+    pub engine: Engine,
+    pub guide: GuideMode,
+    pub roulette: Roulette,
+    pub spp: u32,
+    pub seed: u32,
+}
+
+impl Against {
+    /// Without a guide, on the CPU.
+    pub fn plain(file: &'static str, name: &'static str, spp: u32, seed: u32) -> Against {
+        let (engine, guide, roulette) = (Engine::Cpu, GuideMode::Off, Roulette::Throughput);
+        Against { file, name, engine, guide, roulette, spp, seed }
+    }
+
+    /// The image, its errors as they are to be believed, and its reference.
+    pub fn render(&self) -> (Image, Image) {
+        let reference = reference(self.name);
+        let (width, height) = (reference.width, reference.height);
+        let options = RenderOptions {
+            direct_light: Some(true),
+            max_bounces: Some(64),
+            ..guided(width, height, self.seed, self.guide, self.roulette)
+        };
+        let image = render(&scene(self.file), self.engine, &options, self.spp).image;
+        (with_expected_errors(image, &reference, self.spp), reference)
+    }
+
+    /// α = 1e-3 that a right image fails. An image that is brighter by `seen` must fail the same test, so the samples are
+    /// enough to see that much.
+    pub fn agrees(&self, seen: f32) {
+        let (image, reference) = self.render();
+        let Against { file, engine, guide, roulette, spp, .. } = self;
+        let what = format!("{file} on {engine:?}, guide {guide}, roulette {roulette}, {spp} samples");
+        let comparison = compare(&image, &reference);
+        println!("{what}\n{comparison}");
+        let agrees = comparison.passes() == Some(true);
+        expect_agreement(agrees, &what, self.seed, (&image, &reference), &comparison);
+        let control = compare(&brightened(&image, 1.0 + seen), &reference);
+        assert_eq!(control.passes(), Some(false), "brighter by {seen} passes: {what}\n{control}");
+    }
 }
 
 #[test]
 fn cornell_box_agrees_with_mitsuba() {
-    agrees_with_mitsuba("cornell-box", "cornell", Engine::Cpu, 1024, 21);
-    agrees_with_mitsuba("cornell-box", "cornell", Engine::Wavefront(Schedule::Fused), 1024, 22);
+    Against::plain("cornell-box", "cornell", 1024, 21).agrees(0.02);
+    let engine = Engine::Wavefront(Schedule::Fused);
+    Against { engine, ..Against::plain("cornell-box", "cornell", 1024, 22) }.agrees(0.02);
 }
 
 #[test]
 fn bansal_room_1_agrees_with_mitsuba() {
-    agrees_with_mitsuba("bansal-room-1", "seed1", Engine::Cpu, 512, 23);
+    Against::plain("bansal-room-1", "seed1", 512, 23).agrees(0.02);
 }
 
 #[test]
 fn bansal_room_5_agrees_with_mitsuba() {
-    agrees_with_mitsuba("bansal-room-5", "seed5", Engine::Cpu, 512, 24);
+    Against::plain("bansal-room-5", "seed5", 512, 24).agrees(0.02);
 }
 
 /// The light is in the other room: the noisiest of the five, and so the most samples.
 #[test]
 fn door_ajar_agrees_with_mitsuba() {
-    agrees_with_mitsuba("door-ajar", "door", Engine::Cpu, 3072, 27);
+    Against::plain("door-ajar", "door", 3072, 27).agrees(0.02);
 }
 
 #[test]
 fn mesh_agrees_with_mitsuba() {
-    agrees_with_mitsuba("mesh", "mesh", Engine::Cpu, 1024, 28);
-    agrees_with_mitsuba("mesh", "mesh", Engine::Wavefront(Schedule::Fused), 512, 29);
+    Against::plain("mesh", "mesh", 1024, 28).agrees(0.02);
+    let engine = Engine::Wavefront(Schedule::Fused);
+    Against { engine, ..Against::plain("mesh", "mesh", 512, 29) }.agrees(0.02);
 }
 
 /// All light of the caustic is found by chance, so its noise has a long tail.
 #[test]
 fn glass_caustic_agrees_with_mitsuba() {
-    agrees_with_mitsuba("glass-caustic", "caustic", Engine::Cpu, 1024, 26);
+    Against::plain("glass-caustic", "caustic", 1024, 26).agrees(0.02);
+}
+
+/// Few samples on a GPU, guided both ways, and of the two scenes that guides are for and not: what 10 % more light would
+/// change is seen.
+#[test]
+fn guides_on_a_gpu_agree_with_mitsuba() {
+    let guided = |engine, guide, case| Against { engine, guide, roulette: Roulette::Learnt, ..case };
+    let cornell = Against::plain("cornell-box", "cornell", 254, 28);
+    let door = Against::plain("door-ajar", "door", 254, 29);
+    guided(Engine::Megakernel, GuideMode::Octant, cornell).agrees(0.1);
+    guided(Engine::Wavefront(Schedule::Fused), GuideMode::Adaptive, door).agrees(0.1);
+    // Negative control: Bansal's rule as published.
+    let published = Against { engine: Engine::Megakernel, guide: GuideMode::Bansal, ..door };
+    let (image, reference) = published.render();
+    assert_eq!(compare(&image, &reference).passes(), Some(false), "Bansal's published rule passes");
+}
+
+/// The five scenes, and the samples at which 2 % more light is seen.
+const SCENES: [(&str, &str, u32); 5] = [
+    ("cornell-box", "cornell", 1024),
+    ("bansal-room-1", "seed1", 512),
+    ("bansal-room-5", "seed5", 512),
+    ("door-ajar", "door", 3072),
+    ("glass-caustic", "caustic", 1024),
+];
+
+/// Every scene on a GPU engine, with this guide.
+fn all_scenes_agree_on(engine: Engine, guide: GuideMode) {
+    let roulette = if guide == GuideMode::Off { Roulette::Throughput } else { Roulette::Learnt };
+    for (seed, (file, name, spp)) in (340..).zip(SCENES) {
+        Against { file, name, engine, guide, roulette, spp, seed }.agrees(0.02);
+    }
+}
+
+#[test]
+#[ignore = "long: five scenes on each GPU engine; tests/run --long"]
+fn every_gpu_engine_agrees_with_mitsuba() {
+    GPU_ENGINES.into_iter().for_each(|engine| all_scenes_agree_on(engine, GuideMode::Off));
+}
+
+#[test]
+#[ignore = "long: five scenes on two GPU engines; tests/run --long"]
+fn adaptive_guides_on_gpu_engines_agree_with_mitsuba() {
+    let engines = [Engine::Megakernel, Engine::Wavefront(Schedule::Fused)];
+    engines.into_iter().for_each(|engine| all_scenes_agree_on(engine, GuideMode::Adaptive));
+}
+
+#[test]
+#[ignore = "long: five scenes on two GPU engines; tests/run --long"]
+fn octant_guides_on_gpu_engines_agree_with_mitsuba() {
+    let engines = [Engine::Megakernel, Engine::Wavefront(Schedule::Streamed)];
+    engines.into_iter().for_each(|engine| all_scenes_agree_on(engine, GuideMode::Octant));
 }

@@ -53,6 +53,12 @@ pub fn open_gpu() -> Gpu {
         .unwrap_or_else(|e| panic!("{e}\nGPU tests need an adapter: run tests/run"))
 }
 
+/// Whether the adapter under test computes as the program says: no product fused with a sum, roots, sines and quotients as
+/// exact as a CPU's. Others may do what WGSL allows, so what is equal in every bit here is equal within roundings there.
+pub fn computes_to_the_letter(gpu: &Gpu) -> bool {
+    gpu.summary.software
+}
+
 /// Where the repository lies.
 pub fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
@@ -138,7 +144,12 @@ pub fn render(scene: &Scene, engine: Engine, options: &RenderOptions, spp: u32) 
     render_in_steps(scene, engine, options, spp, u32::MAX)
 }
 
-/// Renders `spp` samples per pixel in steps of at most `step`.
+/// Renders `spp` samples per pixel of a scene that may lose some.
+pub fn render_lossy(scene: &Scene, engine: Engine, options: &RenderOptions, spp: u32) -> Render {
+    render_any(scene, engine, options, spp, u32::MAX)
+}
+
+/// Renders `spp` samples per pixel in steps of at most `step`. Whatever is rendered, no sample is lost.
 pub fn render_in_steps(
     scene: &Scene,
     engine: Engine,
@@ -146,6 +157,12 @@ pub fn render_in_steps(
     spp: u32,
     step: u32,
 ) -> Render {
+    let found = render_any(scene, engine, options, spp, step);
+    assert_eq!(found.stats.lost_samples, 0, "{engine:?} on {}: samples that are no numbers", scene.name);
+    found
+}
+
+fn render_any(scene: &Scene, engine: Engine, options: &RenderOptions, spp: u32, step: u32) -> Render {
     let mut renderer = Renderer::new(scene, engine.with(options)).unwrap_or_else(|e| {
         panic!("{engine:?} on {}: {e}\nGPU tests need an adapter: run tests/run", scene.name)
     });

@@ -91,6 +91,12 @@ impl Mesh {
         given.into_iter().flatten().map(|triangle| triangle.map(|corner| self.normals[corner as usize]))
     }
 
+    /// The box around all triangles: its least and its greatest corner.
+    pub fn bounds(&self) -> [Vec3; 2] {
+        let corners = || self.triangles().flatten();
+        [corners().fold(Vec3::INFINITY, Vec3::min), corners().fold(Vec3::NEG_INFINITY, Vec3::max)]
+    }
+
     /// What was left out.
     pub fn repairs(&self) -> Repairs {
         self.repairs

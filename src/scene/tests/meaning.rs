@@ -123,3 +123,24 @@ fn darkness_and_excess_are_warned_about() {
     assert_eq!(sky.clone().build().expect("valid").warnings(), [SceneWarning::NoLight]);
     assert_eq!(sky.environment([1.0; 3]).build().expect("valid").warnings(), []);
 }
+
+#[test]
+fn shapes_smaller_than_ten_spawn_offsets_are_warned_about_once() {
+    let build = |radius: f64| {
+        let far = Scene::builder("far").camera([1e4, 0.0, 1.0], [1e4, 0.0, 0.0], 40.0).environment([1.0; 3]);
+        let ball = |x: f64| [1e4 + x, 0.0, 0.0];
+        let balls = far.material("m", Material::diffuse([0.5; 3])).sphere(ball(0.0), radius, "m");
+        let balls = balls.named("bead").sphere(ball(2.0), 2.0 * radius, "m").sphere(ball(4.0), 1.0, "m");
+        balls.build().expect("valid").warnings()
+    };
+    assert_eq!(build(0.1), []);
+    let warnings = build(0.01);
+    let [SceneWarning::BelowResolution { shape, size, others, .. }] = &warnings[..] else {
+        panic!("{warnings:?}")
+    };
+    assert!(shape.contains("bead") && *size == 0.01 && *others == 1, "{warnings:?}");
+    let text = warnings[0].to_string();
+    assert!(text.contains("\"bead\" (and 1 more) measures only 1.0e-2") && text.contains("origin"), "{text}");
+    let alone = build(0.09);
+    assert!(alone.len() == 1 && !alone[0].to_string().contains("more"), "{alone:?}");
+}
