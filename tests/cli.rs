@@ -316,6 +316,53 @@ fn odd_scenes_render_with_a_warning() {
     }
 }
 
+/// A tetrahedron with a face twice and one without area.
+const TETRAHEDRON: &str =
+    "v 0 0 1\nv 1 0 -1\nv -1 0 -1\nv 0 1 0\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\nf 4 2 3\nf 1 1 2\n";
+const SPHERE: &str = "type = \"sphere\"\ncenter = [0, 0, 0]\nradius = 1";
+
+#[test]
+fn a_mesh_beside_the_scene_is_rendered_and_what_it_lost_is_one_line() {
+    let place = Place::new();
+    place.write("tetrahedron.obj", TETRAHEDRON);
+    place.variant("mesh.toml", SPHERE, "type = \"mesh\"\nfile = \"tetrahedron.obj\"");
+    for args in [&["render", "mesh.toml", "--engine", "cpu", "-q"][..], &["check", "mesh.toml"]] {
+        let outcome = place.succeed(args);
+        let words = ["warning: ", "\"ball\"", "1 triangles without area", "1 that repeat"];
+        assert!(words.iter().all(|word| outcome.stderr.contains(word)), "{}", outcome.stderr);
+        assert_eq!(outcome.stderr.lines().count(), 1, "{}", outcome.stderr);
+        let counts = "1 quads, 1 meshes of 4 triangles";
+        assert!(args[0] == "render" || outcome.stdout.contains(counts), "{}", outcome.stdout);
+    }
+    let stats = ["render", "mesh.toml", "--engine", "cpu", "-q", "--stats", "text", "-o", "layers.exr"];
+    let stats = place.succeed(&stats).stdout;
+    for row in ["hierarchy.triangles", "hierarchy.nodes", "hierarchy.build_seconds"] {
+        assert!(stats.contains(row), "{stats}");
+    }
+}
+
+#[test]
+fn meshes_that_cannot_be_used_are_refused_with_the_file_and_the_remedy() {
+    let place = Place::new();
+    place.write("cut.obj", &TETRAHEDRON[..TETRAHEDRON.len() / 2]);
+    place.write("short.obj", TETRAHEDRON.replace("f 1 3 2", "f 1 3 9"));
+    place.write("nan.obj", TETRAHEDRON.replace("v 0 0 1", "v 0 nan 1"));
+    let header =
+        "ply\nformat binary_little_endian 1.0\nelement vertex 999999999999\nproperty float x\nend_header\n";
+    place.write("header.ply", header);
+    for (file, words) in [
+        ("cut.obj", &["cut.obj", "no triangles"][..]),
+        ("short.obj", &["short.obj", "write it anew"]),
+        ("nan.obj", &["nan.obj", "not a number"]),
+        ("header.ply", &["header.ply", "cut short or damaged"]),
+        ("none.ply", &["none.ply", "no such file"]),
+        ("../none.ply", &["../none.ply", "no such file"]),
+    ] {
+        place.variant("bad.toml", SPHERE, &format!("type = \"mesh\"\nfile = \"{file}\""));
+        place.refuses_scene("bad.toml", &[&["bad.toml", "\"ball\""], words].concat());
+    }
+}
+
 /// Colours far above 1 are allowed, and overflow f32 in a closed room: told of once, and black rather than infinite.
 #[test]
 fn samples_that_are_no_numbers_are_told_of_once_and_by_number() {

@@ -52,19 +52,34 @@ impl RayLanes {
             self.direction[axis].0[i] = ray.direction[axis];
         }
     }
+
+    #[inline(always)]
+    pub fn get(&self, i: usize) -> Ray {
+        let at = |lanes: &[Lane; 3]| Vec3::from_array(std::array::from_fn(|axis| lanes[axis].0[i]));
+        Ray { origin: at(&self.origin), direction: at(&self.direction) }
+    }
 }
 
 /// What bounds eight shadow rays.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ShadowEnds {
     t_max: Lane,
-    excluded: Lane,
+    /// In f32, as lanes number shapes.
+    excluded_lane: Lane,
+    excluded: [u32; LANES],
 }
 
 impl ShadowEnds {
     #[inline(always)]
     pub fn set(&mut self, i: usize, t_max: f32, excluded: u32) {
-        (self.t_max.0[i], self.excluded.0[i]) = (t_max, excluded as f32);
+        (self.t_max.0[i], self.excluded_lane.0[i]) = (t_max, excluded as f32);
+        self.excluded[i] = excluded;
+    }
+
+    /// How far the ray may go, and the shape that does not stop it.
+    #[inline(always)]
+    pub fn get(&self, i: usize) -> (f32, u32) {
+        (self.t_max.0[i], self.excluded[i])
     }
 }
 
@@ -421,7 +436,7 @@ impl ShapeLanes {
     #[inline(always)]
     fn any_nearer_eight<L: Lanes>(&self, rays: &RayLanes, ends: &ShadowEnds) -> u32 {
         let (rays, spheres) = (LaneRay::<L>::eight(rays), self.sphere_count);
-        let ends = (L::load(&ends.t_max), L::load(&ends.excluded));
+        let ends = (L::load(&ends.t_max), L::load(&ends.excluded_lane));
         any_nearer_each(&self.spheres, 0, spheres, &rays, ends)
             | any_nearer_each(&self.quads, spheres, self.quad_count, &rays, ends)
     }

@@ -51,9 +51,6 @@ fn describe(path: &Path, scene: &Scene) -> String {
     let defaults = &scene.defaults;
     let key = KernelKey::new(&compiled, &RenderOptions::default().estimators(scene));
     let on_off = |on| if on { "on" } else { "off" };
-    let is_sphere = |geometry: &Geometry| matches!(geometry, Geometry::Sphere { .. });
-    let shapes = scene.shapes.len();
-    let spheres = scene.shapes.iter().filter(|s| is_sphere(&s.geometry)).count();
     let environment = match scene.environment.max_element() > 0.0 {
         true => " and the environment",
         false => "",
@@ -69,12 +66,22 @@ fn describe(path: &Path, scene: &Scene) -> String {
             on_off(defaults.direct_light),
             on_off(defaults.roulette)
         ),
-        format!("  shapes     {shapes}: {spheres} spheres, {} quads", shapes - spheres),
+        format!("  shapes     {}: {}", scene.shapes.len(), shapes(scene, &compiled)),
         format!("  materials  {}: {}", scene.materials.len(), kinds(scene)),
         format!("  lights     {}{environment}", compiled.lights.len()),
         format!("  kernels    {key}"),
     ]
     .join("\n")
+}
+
+/// `1 spheres, 12 quads`, and `2 meshes of 96 triangles` where there are any.
+fn shapes(scene: &Scene, compiled: &CompiledScene) -> String {
+    let (spheres, quads, triangles) =
+        (compiled.spheres.len(), compiled.quads.len(), compiled.triangles.len());
+    match scene.shapes.iter().filter(|shape| matches!(shape.geometry, Geometry::Mesh(_))).count() {
+        0 => format!("{spheres} spheres, {quads} quads"),
+        meshes => format!("{spheres} spheres, {quads} quads, {meshes} meshes of {triangles} triangles"),
+    }
 }
 
 /// `3 diffuse, 1 mirror`.

@@ -17,7 +17,6 @@ pub fn preferred_engine(scene: &CompiledScene, key: &KernelKey, options: &Render
     if options.schedule.is_some() || options.pool.is_some() {
         return EngineKind::Wavefront;
     }
-    let shapes = scene.spheres.len() + scene.quads.len();
-    let tests = shapes * if key.direct_light { 2 } else { 1 };
+    let tests = scene.tests_per_ray() * if key.direct_light { 2 } else { 1 };
     if tests < MANY_TESTS { EngineKind::Megakernel } else { EngineKind::Wavefront }
 }

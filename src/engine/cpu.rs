@@ -3,7 +3,7 @@
 use super::cpu_levels::trace_all;
 use super::strategy::{Pass, Strategy};
 use super::{CancelToken, Engine, EngineKind, Estimators, RenderError, RenderStats};
-use crate::accel::ShapeLanes;
+use crate::accel::Search;
 use crate::film::{Film, PixelSum};
 use crate::guiding::{GuideTable, LessonLayout, LessonSums, Lessons};
 use crate::scene::compiled::{CompiledScene, Uniforms};
@@ -16,7 +16,6 @@ use std::time::Instant;
 
 pub struct CpuEngine {
     scene: CompiledScene,
-    lanes: ShapeLanes,
     uniforms: Uniforms,
     estimators: Estimators,
     strategy: Strategy,
@@ -36,13 +35,12 @@ impl CpuEngine {
             device: format!("{} threads", rayon::current_num_threads()),
             ..Default::default()
         };
-        let lanes = ShapeLanes::new(&scene);
         let strategy = Strategy {
             informed: estimators.learns(),
             roulette: estimators.roulette,
             roulette_scale: estimators.roulette_scale,
         };
-        CpuEngine { scene, lanes, uniforms, estimators, strategy, guide: None, stats }
+        CpuEngine { scene, uniforms, estimators, strategy, guide: None, stats }
     }
 
     /// One pass: the samples `range` of every pixel, rows in parallel.
@@ -54,9 +52,10 @@ impl CpuEngine {
             sample_count: range.end - range.start,
             ..self.uniforms
         };
+        let search = Search::new(&self.scene);
         let transport = Transport {
             scene: &self.scene,
-            lanes: &self.lanes,
+            search: &search,
             uniforms: &uniforms,
             sampler: self.estimators.sampler,
             direct_light: self.estimators.direct_light && !self.scene.lights.is_empty(),

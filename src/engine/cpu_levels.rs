@@ -93,8 +93,9 @@ fn levels(transport: &Transport, paths: &[u32], radiance: &mut [Vec3]) -> u64 {
         }
         rays += live as u64;
 
-        for (hits, lanes) in hits.iter_mut().zip(&lanes).take(live.div_ceil(TOGETHER)) {
-            *hits = transport.lanes.intersect_eight(lanes);
+        for (i, hits) in hits.iter_mut().enumerate().take(live.div_ceil(TOGETHER)) {
+            let count = TOGETHER.min(live - i * TOGETHER);
+            *hits = transport.search.intersect_eight(&lanes[i], count);
         }
 
         let (mut kept, mut waiting) = (0, 0);
@@ -126,7 +127,7 @@ fn levels(transport: &Transport, paths: &[u32], radiance: &mut [Vec3]) -> u64 {
         live = kept;
 
         for (shadows, (rays, ends)) in shadows[..waiting].chunks(TOGETHER).zip(&shadow_lanes) {
-            let blocked = transport.lanes.occluded_eight(rays, ends);
+            let blocked = transport.search.occluded_eight(rays, ends, shadows.len());
             for (i, waiting) in shadows.iter().enumerate() {
                 if blocked >> i & 1 == 0 {
                     let Waiting { slot, value, .. } = *waiting;
@@ -146,7 +147,7 @@ fn ray_of(item: &RayItem) -> Ray {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::accel::ShapeLanes;
+    use crate::accel::Search;
     use crate::random::Sampler;
     use crate::scene::Scene;
     use crate::scene::compiled::CompiledScene;
@@ -154,10 +155,10 @@ mod tests {
 
     #[test]
     fn many_paths_at_a_time_bring_what_each_brings_alone_bit_for_bit() {
-        for name in ["cornell-box", "bansal-room-1", "glossy-box", "furnace-open-half"] {
+        for name in ["cornell-box", "bansal-room-1", "glossy-box", "furnace-open-half", "many-lights"] {
             let described = Scene::load(format!("scenes/{name}.toml")).unwrap();
             let scene = CompiledScene::new(&described);
-            let lanes = ShapeLanes::new(&scene);
+            let search = Search::new(&scene);
             let mut uniforms = scene.uniforms(&described.camera, 16, 12, 9);
             (uniforms.max_bounces, uniforms.pixel_count, uniforms.sample_count) = (64, 16 * 12, 3);
             uniforms.roulette_scale = 1.0;
@@ -166,7 +167,7 @@ mod tests {
                     sampler: Sampler::Stratified,
                     direct_light: direct_light && !scene.lights.is_empty(),
                     roulette,
-                    ..Transport::plain(&scene, &lanes, &uniforms)
+                    ..Transport::plain(&scene, &search, &uniforms)
                 };
                 // In an order of their own, and not a multiple of what fits.
                 let paths: Vec<u32> = (0..555).map(|i| i * 7 % 555).collect();

@@ -1,6 +1,6 @@
 //! First-hit albedo, normal and depth, for denoisers and compositing. Few rays, so always by the CPU twins.
 
-use crate::accel::ShapeLanes;
+use crate::accel::Search;
 use crate::film::Features;
 use crate::random::{DIMENSION_CAMERA, SampleKey, Sampler, sample4};
 use crate::scene::camera::camera_ray;
@@ -15,10 +15,10 @@ const SAMPLES: u32 = 16;
 /// Means over the pixel. Albedo and normal (world space, towards the viewer) are zero where nothing is hit; depth is the
 /// mean distance of the rays that hit, 0 if none does.
 pub fn features(scene: &CompiledScene, uniforms: &Uniforms) -> Features {
-    let lanes = ShapeLanes::new(scene);
+    let search = Search::new(scene);
     let pixels: Vec<(Vec3, Vec3, f32)> = (0..uniforms.width * uniforms.height)
         .into_par_iter()
-        .map(|pixel| pixel_features(scene, &lanes, uniforms, pixel))
+        .map(|pixel| pixel_features(scene, &search, uniforms, pixel))
         .collect();
     Features {
         albedo: pixels.iter().map(|p| p.0.to_array()).collect(),
@@ -29,7 +29,7 @@ pub fn features(scene: &CompiledScene, uniforms: &Uniforms) -> Features {
 
 fn pixel_features(
     scene: &CompiledScene,
-    lanes: &ShapeLanes,
+    search: &Search,
     uniforms: &Uniforms,
     pixel: u32,
 ) -> (Vec3, Vec3, f32) {
@@ -38,7 +38,7 @@ fn pixel_features(
         let key = SampleKey { pixel, sample, seed: uniforms.seed };
         let u = sample4(Sampler::Stratified, key, DIMENSION_CAMERA);
         let ray = camera_ray(uniforms, [pixel % uniforms.width, pixel / uniforms.width], u.xy());
-        let Some(hit) = lanes.intersect(ray) else { continue };
+        let Some(hit) = search.intersect(ray) else { continue };
         let surface = surface_at(scene, ray, hit);
         let towards_viewer = if ray.direction.dot(surface.normal) < 0.0 { 1.0 } else { -1.0 };
         albedo += scene.materials[shape_info(scene, hit.shape).material as usize].color;

@@ -162,6 +162,11 @@ impl GpuFilm {
     }
 
     fn upload_scene(&mut self, scene: &CompiledScene) -> Result<(), RenderError> {
+        let summary = &self.gpu.summary;
+        let (bytes, limit) = (rows::bytes(scene), summary.max_binding.min(summary.max_buffer));
+        if bytes > limit {
+            return Err(GpuError::SceneTooLarge { adapter: summary.name.clone(), bytes, limit }.into());
+        }
         let arrays = [
             ("scene_rows", rows::pack(scene), BufferUsages::STORAGE),
             ("hot_rows", rows::hot(scene), BufferUsages::UNIFORM),

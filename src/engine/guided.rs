@@ -45,8 +45,7 @@ impl Guided {
         };
         let mut learner = pilot(guide, options.guide_table.as_deref(), scene, uniforms)?;
         learner.set_scene(scene.light_fingerprint());
-        let shapes = scene.spheres.len() + scene.quads.len();
-        let mut planner = Planner::new(options, estimators, engine.kind(), shapes);
+        let mut planner = Planner::new(options, estimators, engine.kind(), scene.tests_per_ray());
         let pass = planner.first();
         let pixels = uniforms.width * uniforms.height;
         engine.set_pass(&pass)?;

@@ -1,7 +1,7 @@
 //! The pilot: a few paths that find out where surfaces are, before anything is learnt.
 
 use super::RenderError;
-use crate::accel::ShapeLanes;
+use crate::accel::Search;
 use crate::guiding::{GuideOptions, GuideTable, Learner, LessonLayout, LessonSums};
 use crate::math::luminance;
 use crate::scene::compiled::{CompiledScene, Uniforms};
@@ -24,8 +24,8 @@ pub fn pilot(
 ) -> Result<Learner, RenderError> {
     let pixels = uniforms.width * uniforms.height;
     let uniforms = Uniforms { pixel_count: pixels, seed: uniforms.seed ^ 0x9e37_79b9, ..*uniforms };
-    let lanes = ShapeLanes::new(scene);
-    let transport = Transport { guidance: None, ..Transport::plain(scene, &lanes, &uniforms) };
+    let search = Search::new(scene);
+    let transport = Transport { guidance: None, ..Transport::plain(scene, &search, &uniforms) };
     let paths = |transport: &Transport| -> Vec<Vec3> {
         (0..PILOT_PATHS).into_par_iter().flat_map_iter(|i| surface_points(transport, pixels, i)).collect()
     };

@@ -10,8 +10,8 @@ use super::show::guide_layers;
 use super::strategy::plain_strategy;
 use super::wavefront::WavefrontEngine;
 use super::{
-    CancelToken, Engine, EngineChoice, EngineKind, Estimators, GuideStats, RenderError, RenderOptions,
-    RenderStats,
+    CancelToken, Engine, EngineChoice, EngineKind, Estimators, GuideStats, HierarchyStats, RenderError,
+    RenderOptions, RenderStats,
 };
 use crate::film::{Film, GuideLayers, Image};
 use crate::gpu::device::Gpu;
@@ -171,7 +171,11 @@ impl Renderer {
     }
 
     pub fn stats(&self) -> RenderStats {
-        RenderStats { guide: self.learner().map(GuideStats::new), ..self.engine.stats() }
+        RenderStats {
+            guide: self.learner().map(GuideStats::new),
+            hierarchy: HierarchyStats::new(&self.compiled),
+            ..self.engine.stats()
+        }
     }
 
     /// What was learnt in the passes that are finished; None if nothing is to be learnt.

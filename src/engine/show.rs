@@ -1,6 +1,6 @@
 //! What was learnt, seen through the camera: Bansal's figure 11. Few rays, so always by the CPU twins.
 
-use crate::accel::ShapeLanes;
+use crate::accel::Search;
 use crate::bsdf::{bsdf_sample, lambert_share};
 use crate::film::{GuideLayers, srgb_to_linear};
 use crate::guiding::octant::octant_shares;
@@ -193,7 +193,7 @@ impl Learnt {
 /// What a scene's surfaces have learnt, through its camera.
 struct Viewer<'a> {
     scene: &'a CompiledScene,
-    lanes: ShapeLanes,
+    search: Search<'a>,
     uniforms: &'a Uniforms,
     learnt: Learnt,
 }
@@ -204,7 +204,7 @@ impl Viewer<'_> {
         let width = self.uniforms.width;
         let mut ray = camera_ray(self.uniforms, [pixel % width, pixel / width], u);
         for bounce in 0..MOST_BOUNCES {
-            let hit = self.lanes.intersect(ray)?;
+            let hit = self.search.intersect(ray)?;
             let surface = surface_at(self.scene, ray, hit);
             let material = &self.scene.materials[shape_info(self.scene, hit.shape).material as usize];
             let outside = ray.direction.dot(surface.normal) < 0.0;
@@ -238,7 +238,7 @@ impl Viewer<'_> {
 
 /// Means over each pixel, the cell at its middle.
 pub fn guide_layers(scene: &CompiledScene, uniforms: &Uniforms, learner: &Learner) -> GuideLayers {
-    let viewer = Viewer { scene, lanes: ShapeLanes::new(scene), uniforms, learnt: Learnt::new(learner) };
+    let viewer = Viewer { scene, search: Search::new(scene), uniforms, learnt: Learnt::new(learner) };
     let pixels: Vec<_> =
         (0..uniforms.width * uniforms.height).into_par_iter().map(|pixel| viewer.pixel(pixel)).collect();
     GuideLayers {

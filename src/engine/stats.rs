@@ -1,6 +1,8 @@
 //! What a render built and spent.
 
 use crate::guiding::Learner;
+use crate::scene::bvh::NODE_ROWS;
+use crate::scene::compiled::CompiledScene;
 use std::collections::BTreeMap;
 
 /// Figures for `--stats` and for tests.
@@ -24,6 +26,9 @@ pub struct RenderStats {
     pub gpu_seconds: f64,
     /// Seconds within the engine, waiting included.
     pub seconds: f64,
+    /// The hierarchy over the shapes; absent where rays ask all of them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub hierarchy: Option<HierarchyStats>,
     /// Submissions to the GPU.
     pub submissions: u64,
     /// Levels recorded by the wavefront engine.
@@ -31,6 +36,36 @@ pub struct RenderStats {
     /// What was learnt; absent where nothing is.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub guide: Option<GuideStats>,
+}
+
+/// Figures about the hierarchy over the shapes.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
+pub struct HierarchyStats {
+    /// Shapes in it.
+    pub shapes: usize,
+    /// Of these, triangles of meshes.
+    pub triangles: usize,
+    /// Nodes, of two boxes each.
+    pub nodes: usize,
+    /// Bytes of the nodes.
+    pub bytes: usize,
+    /// Nodes from the top to the deepest leaf.
+    pub depth: u32,
+    /// Seconds that it took to build.
+    pub build_seconds: f64,
+}
+
+impl HierarchyStats {
+    pub(super) fn new(scene: &CompiledScene) -> Option<HierarchyStats> {
+        scene.bvh.as_ref().map(|bvh| HierarchyStats {
+            shapes: scene.shape_count(),
+            triangles: scene.triangles.len(),
+            nodes: bvh.rows.len() / NODE_ROWS,
+            bytes: size_of_val(&bvh.rows[..]),
+            depth: bvh.depth,
+            build_seconds: bvh.seconds,
+        })
+    }
 }
 
 /// Figures about what was learnt.

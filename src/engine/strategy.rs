@@ -127,10 +127,10 @@ impl Planner {
         options: &RenderOptions,
         estimators: Estimators,
         engine: EngineKind,
-        shapes: usize,
+        tests_per_ray: usize,
     ) -> Planner {
         let Estimators { roulette, roulette_scale, .. } = estimators;
-        let tests = shapes * if estimators.direct_light { 2 } else { 1 };
+        let tests = tests_per_ray * if estimators.direct_light { 2 } else { 1 };
         Planner {
             informed: Judged::new(Strategy { informed: true, roulette, roulette_scale }),
             plain: plain_strategy(options, estimators).map(Judged::new),

@@ -59,6 +59,22 @@ fn a_queue_that_runs_over_is_an_error_that_names_it() {
     }
 }
 
+/// A scene that no binding holds is an error that says so, before anything of it is copied.
+#[test]
+fn a_scene_beyond_the_adapter_is_refused() {
+    let adapter = std::env::var("QTRACER_TEST_ADAPTER").ok();
+    let mut gpu = Gpu::open(adapter.as_deref()).expect("GPU tests need an adapter: run tests/run");
+    gpu.summary.max_binding = 1 << 20;
+    let scene = Scene::load(format!("{}/scenes/mesh.toml", env!("CARGO_MANIFEST_DIR"))).expect("it loads");
+    let compiled = CompiledScene::new(&scene);
+    let key = KernelKey::new(&compiled, &Estimators { direct_light: true, ..Default::default() });
+    let uniforms = compiled.uniforms(&scene.camera, 16, 16, 1);
+    let keys = Keys { own: key, plain: None };
+    let engine = WavefrontEngine::new(gpu, &compiled, uniforms, keys, &RenderOptions::default());
+    let message = engine.err().expect("11 MB in one").to_string();
+    assert!(message.contains("binds at most 1048576 bytes, but the scene needs 11"), "{message}");
+}
+
 /// Queues of the largest pool fit into the adapter's largest binding, with and without what a path remembers.
 #[test]
 fn the_largest_pool_fits_the_adapter() {

@@ -17,6 +17,10 @@ pub enum GpuError {
         "GPU \"{adapter}\" binds at most {limit} bytes, but buffer \"{buffer}\" needs {bytes}; choose a smaller --size or --pool, or --engine cpu"
     )]
     BufferTooLarge { adapter: String, buffer: String, bytes: u64, limit: u64 },
+    #[error(
+        "GPU \"{adapter}\" binds at most {limit} bytes, but the scene needs {bytes}; give it fewer triangles, or take --engine cpu"
+    )]
+    SceneTooLarge { adapter: String, bytes: u64, limit: u64 },
     #[error("kernel {kernel}: {reason}")]
     Kernel { kernel: String, reason: String },
     #[error(transparent)]

@@ -3,7 +3,9 @@
 
 use crate::guiding::GuideMode;
 use crate::random::Sampler;
-use crate::scene::compiled::{CompiledScene, KIND_DIELECTRIC, KIND_DIFFUSE, KIND_GLOSSY, KIND_MIRROR, KINDS};
+use crate::scene::compiled::{
+    CompiledScene, KIND_DIELECTRIC, KIND_DIFFUSE, KIND_GLOSSY, KIND_MIRROR, KINDS, ShapeIndex,
+};
 use crate::transport::estimators::Estimators;
 use crate::transport::roulette::Roulette;
 use std::fmt;
@@ -16,6 +18,8 @@ pub const KIND_NAMES: [&str; KINDS] = ["diffuse", "mirror", "glossy", "dielectri
 pub struct KernelKey {
     pub spheres: bool,
     pub quads: bool,
+    /// Of meshes.
+    pub triangles: bool,
     /// Material kinds present.
     pub kinds: [bool; KINDS],
     /// Light that comes from beyond the scene.
@@ -24,6 +28,7 @@ pub struct KernelKey {
     pub direct_light: bool,
     pub sphere_lights: bool,
     pub quad_lights: bool,
+    pub triangle_lights: bool,
     pub roulette: Roulette,
     /// Places that a path has for its radiance; more than one where paths split.
     pub places: u32,
@@ -61,16 +66,20 @@ fn small_scene(scene: &CompiledScene) -> Option<SmallScene> {
 impl KernelKey {
     pub fn new(scene: &CompiledScene, estimators: &Estimators) -> Self {
         let kinds = scene.kinds();
-        let is_quad = |shape: u32| scene.quad_index(shape).is_some();
         let direct_light = estimators.direct_light && !scene.lights.is_empty() && non_delta(&kinds);
+        let light = |is: fn(ShapeIndex) -> bool| {
+            direct_light && scene.lights.iter().any(|light| is(scene.shape_index(light.shape)))
+        };
         KernelKey {
             spheres: !scene.spheres.is_empty(),
             quads: !scene.quads.is_empty(),
+            triangles: !scene.triangles.is_empty(),
             kinds,
             environment: scene.environment.max_element() > 0.0,
             direct_light,
-            sphere_lights: direct_light && scene.lights.iter().any(|l| !is_quad(l.shape)),
-            quad_lights: direct_light && scene.lights.iter().any(|l| is_quad(l.shape)),
+            sphere_lights: light(|shape| matches!(shape, ShapeIndex::Sphere(_))),
+            quad_lights: light(|shape| matches!(shape, ShapeIndex::Quad(_))),
+            triangle_lights: light(|shape| matches!(shape, ShapeIndex::Triangle(_))),
             roulette: estimators.roulette,
             places: estimators.places(),
             guide: estimators.learns().then(|| estimators.table_mode()),
@@ -99,6 +108,7 @@ impl KernelKey {
         vec![
             ("spheres", self.spheres),
             ("quads", self.quads),
+            ("triangles", self.triangles),
             ("diffuse", self.kinds[KIND_DIFFUSE as usize]),
             ("mirror", self.kinds[KIND_MIRROR as usize]),
             ("glossy", self.kinds[KIND_GLOSSY as usize]),
@@ -108,6 +118,7 @@ impl KernelKey {
             ("direct_light", self.direct_light),
             ("sphere_lights", self.sphere_lights),
             ("quad_lights", self.quad_lights),
+            ("triangle_lights", self.triangle_lights),
             ("roulette", self.roulette != Roulette::Off),
             ("learnt_roulette", self.roulette == Roulette::Learnt),
             ("splits", self.places > 1),

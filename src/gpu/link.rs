@@ -6,7 +6,7 @@ use super::stage::{Schedule, Stage};
 use crate::film::BlockSum;
 use crate::guiding::{GuideUniforms, Trail, Transition};
 use crate::layout::GpuStruct;
-use crate::scene::compiled::{Light, Material, Quad, Sphere, Uniforms};
+use crate::scene::compiled::{Light, Material, Quad, Sphere, Triangle, Uniforms};
 use crate::transport::items::{HitItem, RayItem, ShadowItem};
 use std::borrow::Cow;
 use wesl::{CompileOptions, Feature, Features, ManglerKind, ModulePath, VirtualResolver, Wesl};
@@ -26,6 +26,7 @@ pub const MODULES: &[(&str, &str)] = modules![
     "scene/camera",
     "scene/data",
     "scene/shapes",
+    "scene/triangle",
     "bsdf/dielectric",
     "bsdf/diffuse",
     "bsdf/glossy",
@@ -74,6 +75,8 @@ fn item_declarations() -> String {
         Sphere::wgsl_rows(),
         Quad::wgsl(),
         Quad::wgsl_rows(),
+        Triangle::wgsl(),
+        Triangle::wgsl_rows(),
         Material::wgsl(),
         Material::wgsl_rows(),
         Light::wgsl(),

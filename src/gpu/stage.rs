@@ -4,7 +4,7 @@
 use super::key::{KIND_NAMES, KernelKey, SmallScene};
 use crate::layout::GpuStruct;
 use crate::scene::bvh::NODE_ROWS;
-use crate::scene::compiled::{KINDS, Light, Material, Quad, Sphere};
+use crate::scene::compiled::{KINDS, Light, Material, Quad, Sphere, Triangle};
 use crate::scene::rows::{ALIGNED_ROWS, QUAD_HOT_ROWS, SPHERE_HOT_ROWS};
 use std::fmt::Write;
 
@@ -248,6 +248,7 @@ impl Stage {
             ("SPHERE_REST_ROWS", Sphere::ROWS - SPHERE_HOT_ROWS),
             ("QUAD_HOT_ROWS", QUAD_HOT_ROWS),
             ("QUAD_REST_ROWS", Quad::ROWS - QUAD_HOT_ROWS),
+            ("TRIANGLE_ROWS", Triangle::ROWS),
             ("MATERIAL_ROWS", Material::ROWS),
             ("LIGHT_ROWS", Light::ROWS),
         ] {

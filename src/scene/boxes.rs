@@ -24,7 +24,7 @@ pub(super) fn box_quads(center: DVec3, size: DVec3, rotate_y_deg: f64) -> [Geome
 }
 
 /// Sine and cosine, exact at multiples of 90°.
-fn sin_cos_deg(degrees: f64) -> (f64, f64) {
+pub(super) fn sin_cos_deg(degrees: f64) -> (f64, f64) {
     match degrees.rem_euclid(360.0) {
         0.0 => (0.0, 1.0),
         90.0 => (1.0, 0.0),

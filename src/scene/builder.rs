@@ -1,12 +1,14 @@
 //! Scenes made in code.
 
+use std::sync::Arc;
+
 use glam::DVec3;
 
 use super::boxes::box_quads;
 use super::description::{MaterialNames, material_index};
 use super::error::Fault;
 use super::validate::{self, shape_label};
-use super::{Camera, Defaults, Geometry, Material, Scene, SceneError, Shape};
+use super::{Camera, Defaults, Geometry, Material, Mesh, MeshData, Placement, Scene, SceneError, Shape};
 
 /// Makes a [`Scene`] step by step; nothing is checked before [`build`](Self::build). Order is free, shapes may come
 /// before their materials.
@@ -54,10 +56,11 @@ struct Draft {
     outline: Outline,
 }
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 enum Outline {
     Plain(Geometry),
     Box { center: DVec3, size: DVec3, rotate_y_deg: f64 },
+    Mesh { data: MeshData, placement: Placement },
 }
 
 impl Scene {
@@ -158,6 +161,16 @@ impl SceneBuilder {
         self.shape(Outline::Box { center, size, rotate_y_deg }, material)
     }
 
+    /// Adds triangles as they are, with outward normals on the side from which their corners go counterclockwise.
+    pub fn mesh(self, data: MeshData, material: impl Into<String>) -> Self {
+        self.placed_mesh(data, Placement::default(), material)
+    }
+
+    /// Adds triangles, scaled, turned and moved.
+    pub fn placed_mesh(self, data: MeshData, placement: Placement, material: impl Into<String>) -> Self {
+        self.shape(Outline::Mesh { data, placement }, material)
+    }
+
     /// Names the shape added last, for messages; does nothing before the first.
     pub fn named(mut self, name: impl Into<String>) -> Self {
         if let Some(last) = self.shapes.last_mut() {
@@ -184,7 +197,8 @@ impl SceneBuilder {
             .collect();
         for (index, draft) in shapes.into_iter().enumerate() {
             let object = shape_label(index, draft.name.as_deref());
-            let (material, sides) = resolve(&draft, &names).map_err(|fault| fault.of(&object, None))?;
+            let (material, sides) =
+                resolve(draft.outline, &draft.material, &names).map_err(|fault| fault.of(&object, None))?;
             scene.shapes.extend(sides.into_iter().map(|geometry| Shape {
                 name: draft.name.clone(),
                 material,
@@ -201,10 +215,10 @@ impl SceneBuilder {
     }
 }
 
-/// The index of a draft's material and its checked surfaces.
-fn resolve(draft: &Draft, names: &MaterialNames) -> Result<(usize, Vec<Geometry>), Fault> {
-    let material = material_index(&draft.material, names)?;
-    let sides = match draft.outline {
+/// The index of the material and the checked surfaces of an outline.
+fn resolve(outline: Outline, material: &str, names: &MaterialNames) -> Result<(usize, Vec<Geometry>), Fault> {
+    let material = material_index(material, names)?;
+    let sides = match outline {
         Outline::Plain(geometry) => {
             validate::geometry(&geometry)?;
             vec![geometry]
@@ -212,6 +226,12 @@ fn resolve(draft: &Draft, names: &MaterialNames) -> Result<(usize, Vec<Geometry>
         Outline::Box { center, size, rotate_y_deg } => {
             validate::boxed(center, size, rotate_y_deg)?;
             box_quads(center, size, rotate_y_deg).to_vec()
+        }
+        Outline::Mesh { data, placement } => {
+            validate::placement(&placement)?;
+            let mesh =
+                Mesh::new(&data.placed(&placement)).map_err(|problem| format!("the mesh {problem}"))?;
+            vec![Geometry::Mesh(Arc::new(mesh))]
         }
     };
     Ok((material, sides))

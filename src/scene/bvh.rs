@@ -1,21 +1,20 @@
-//! A bounding volume hierarchy over the shapes of a scene too large to ask them all, as the GPU walks it. Built by `obvhs`
-//! (PLOC, Meister & Bittner 2018, with reinsertion), which is met in this file only. GPU twin: kernels/scene/bvh.wesl
+//! The nearest shape and occlusion by way of a bounding volume hierarchy, where shapes are too many to ask all. A node holds
+//! the boxes of its two children; a leaf is one shape. Laid out by `bvh_build`. GPU twin: kernels/scene/bvh.wesl
 
-use super::compiled::{CompiledScene, Quad, Sphere};
+use super::compiled::{CompiledScene, ShapeIndex, Triangle};
 use super::rows::Row;
-use glam::Vec3;
-use obvhs::aabb::Aabb;
-use obvhs::bvh2::Bvh2;
-use obvhs::bvh2::builder::build_bvh2;
-use obvhs::ploc::{PlocSearchDistance, SortPrecision};
-use obvhs::{Boundable, BvhBuildParams};
+use super::shapes::{Hit, Ray, T_MISS, intersect_quad, intersect_sphere};
+use super::triangle::{RayShear, intersect_triangle, ray_shear};
+use glam::{Vec3, Vec3A, Vec4};
 
 /// Marks the number of a shape where a node could stand.
 pub const LEAF: u32 = 1 << 31;
-/// How much larger than its shape a box is, relative to its largest coordinate: more than intersection rounds by.
-const PADDING: f32 = 2e-6;
 /// Rows of a node.
 pub const NODE_ROWS: usize = 4;
+/// Nodes that a walk may have to come back to at once, in any hierarchy.
+pub const MOST_DEPTH: u32 = 96;
+/// Factor on the far side of a box that makes up for the rounding of both sides (Ize 2013).
+const FAR_SIDE: f32 = 1.0000005;
 
 /// Two boxes, and what is in each: the number of another node, or of a shape with [`LEAF`]. In rows:
 /// minimum, child · maximum, 0 of the first; the same of the second.
@@ -24,136 +23,158 @@ pub struct Bvh {
     pub rows: Vec<Row>,
     /// Nodes that a walk may have to come back to at once, at most.
     pub depth: u32,
+    /// How long it took to build.
+    pub seconds: f64,
 }
 
-struct Bounds(Aabb);
-
-impl Boundable for Bounds {
-    fn aabb(&self) -> Aabb {
-        self.0
-    }
+/// 1/direction, finite where a component is zero.
+#[inline(always)]
+fn inverse_direction(direction: Vec3) -> Vec3 {
+    let tiny = Vec3::splat(1e-30);
+    let signed = Vec3::select(direction.cmpge(Vec3::ZERO), tiny, -tiny);
+    Vec3::ONE / Vec3::select(direction.abs().cmplt(tiny), signed, direction)
 }
 
-fn bounds(min: Vec3, max: Vec3) -> Bounds {
-    let margin = PADDING * min.abs().max(max.abs()).max_element();
-    Bounds(Aabb { min: (min - margin).into(), max: (max + margin).into() })
+#[inline(always)]
+fn corner(row: &Row) -> Vec3A {
+    Vec3A::from_vec4(Vec4::from_array(row.map(f32::from_bits)))
 }
 
-fn sphere_bounds(sphere: &Sphere) -> Bounds {
-    bounds(sphere.center - sphere.radius, sphere.center + sphere.radius)
+/// Where the ray enters the box, T_MISS if it does not before `t_max`.
+#[inline(always)]
+fn box_distance(origin: Vec3A, inverse: Vec3A, low: &Row, high: &Row, t_max: f32) -> f32 {
+    let a = (corner(low) - origin) * inverse;
+    let b = (corner(high) - origin) * inverse;
+    let (near, far) = (a.min(b), a.max(b));
+    let enter = near.max_element().max(0.0);
+    let leave = far.min_element().min(t_max);
+    if enter <= leave * FAR_SIDE { enter } else { T_MISS }
 }
 
-fn quad_bounds(quad: &Quad) -> Bounds {
-    let Quad { corner, e1, e2, .. } = *quad;
-    let corners = [corner, corner + e1, corner + e2, corner + e1 + e2];
-    let (first, rest) = (corners[0], &corners[1..]);
-    bounds(rest.iter().fold(first, |a, &b| a.min(b)), rest.iter().fold(first, |a, &b| a.max(b)))
+/// Which children of a node the ray meets before `t_max`; where it meets one, that is the nearer.
+struct ChildrenMet {
+    any: bool,
+    both: bool,
+    nearer: u32,
+    farther: u32,
 }
 
-impl Bvh {
-    /// The hierarchy of a scene of two shapes or more.
-    pub fn new(scene: &CompiledScene) -> Bvh {
-        let shapes: Vec<Bounds> =
-            scene.spheres.iter().map(sphere_bounds).chain(scene.quads.iter().map(quad_bounds)).collect();
-        let parameters = BvhBuildParams {
-            pre_split: false,
-            ploc_search_distance: PlocSearchDistance::Medium,
-            search_depth_threshold: 3,
-            reinsertion_batch_ratio: 1.0,
-            post_collapse_reinsertion_batch_ratio_multiplier: 0.0,
-            sort_precision: SortPrecision::U64,
-            // A shape is tested in about the time of a node.
-            max_prims_per_leaf: 1,
-            collapse_traversal_cost: 1.0,
-        };
-        let tree = build_bvh2(&shapes, parameters, &mut Default::default());
-        let mut bvh = Bvh::default();
-        bvh.add_node(&tree, 0, 1);
-        bvh
-    }
+#[inline(always)]
+fn children_met(bvh: &Bvh, node: u32, walker: &Walker, t_max: f32) -> ChildrenMet {
+    let [low0, high0, low1, high1] = &bvh.rows.as_chunks().0[node as usize];
+    let t0 = box_distance(walker.origin, walker.inverse, low0, high0, t_max);
+    let t1 = box_distance(walker.origin, walker.inverse, low1, high1, t_max);
+    let (nearer, farther) = if t0 <= t1 { (low0[3], low1[3]) } else { (low1[3], low0[3]) };
+    ChildrenMet { any: t0.min(t1) < T_MISS, both: t0.max(t1) < T_MISS, nearer, farther }
+}
 
-    /// Adds an inner node and, behind it, all below it.
-    fn add_node(&mut self, tree: &Bvh2, node: usize, depth: u32) -> u32 {
-        let number = (self.rows.len() / NODE_ROWS) as u32;
-        self.depth = self.depth.max(depth);
-        self.rows.extend([Row::default(); NODE_ROWS]);
-        for side in 0..2 {
-            let index = tree.nodes[node].first_index as usize + side;
-            let child = &tree.nodes[index];
-            let reference = match child.prim_count {
-                0 => self.add_node(tree, index, depth + 1),
-                _ => LEAF | tree.primitive_indices[child.first_index as usize],
-            };
-            let row = |v: glam::Vec3A, word| [v.x.to_bits(), v.y.to_bits(), v.z.to_bits(), word];
-            let first = number as usize * NODE_ROWS + 2 * side;
-            self.rows[first] = row(child.aabb.min, reference);
-            self.rows[first + 1] = row(child.aabb.max, 0);
+/// A ray with what nodes and triangles ask of it.
+struct Walker {
+    ray: Ray,
+    origin: Vec3A,
+    inverse: Vec3A,
+    view: RayShear,
+}
+
+#[inline(always)]
+fn walker(ray: Ray) -> Walker {
+    let inverse = inverse_direction(ray.direction).into();
+    Walker { ray, origin: ray.origin.into(), inverse, view: ray_shear(ray.direction) }
+}
+
+/// Distance to one shape, T_MISS if there is none.
+#[inline(always)]
+fn shape_distance(scene: &CompiledScene, walker: &Walker, shape: u32) -> f32 {
+    match scene.shape_index(shape) {
+        ShapeIndex::Sphere(i) => intersect_sphere(&walker.ray, &scene.spheres[i]),
+        ShapeIndex::Quad(i) => intersect_quad(&walker.ray, &scene.quads[i]),
+        ShapeIndex::Triangle(i) => {
+            let Triangle { a, b, c, .. } = scene.triangles[i];
+            let t = intersect_triangle(walker.ray.origin, &walker.view, a, b, c);
+            if t > 0.0 { t } else { T_MISS }
         }
-        number
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::scene::Scene;
+/// What a walk still has to visit.
+struct Waiting {
+    nodes: [u32; MOST_DEPTH as usize],
+    count: usize,
+}
 
-    fn bvh(name: &str) -> (CompiledScene, Bvh) {
-        let scene = CompiledScene::new(&Scene::load(format!("scenes/{name}.toml")).unwrap());
-        let bvh = Bvh::new(&scene);
-        (scene, bvh)
+impl Waiting {
+    #[inline(always)]
+    fn none() -> Self {
+        Waiting { nodes: [0; MOST_DEPTH as usize], count: 0 }
     }
 
-    fn corner(row: Row) -> Vec3 {
-        Vec3::from_array([row[0], row[1], row[2]].map(f32::from_bits))
+    #[inline(always)]
+    fn push(&mut self, node: u32) {
+        self.nodes[self.count] = node;
+        self.count += 1;
     }
 
-    /// Every shape in exactly one leaf, every box around what is in it.
-    #[test]
-    fn the_hierarchy_holds_every_shape_once_within_its_boxes() {
-        for name in ["door-ajar", "many-lights", "cornell-box", "bansal-room-1"] {
-            let (scene, bvh) = bvh(name);
-            let count = scene.spheres.len() + scene.quads.len();
-            assert_eq!(bvh.rows.len(), NODE_ROWS * (count - 1), "{name}");
-            let shapes: Vec<Bounds> =
-                scene.spheres.iter().map(sphere_bounds).chain(scene.quads.iter().map(quad_bounds)).collect();
-            let mut seen = vec![0; count];
-            // (what, box around it, depth)
-            let everything = (Vec3::NEG_INFINITY, Vec3::INFINITY);
-            let mut open = vec![(0u32, everything, 1u32)];
-            let mut deepest = 0;
-            while let Some((reference, (min, max), depth)) = open.pop() {
-                if reference & LEAF != 0 {
-                    let shape = (reference & !LEAF) as usize;
-                    seen[shape] += 1;
-                    let Aabb { min: a, max: b } = shapes[shape].0;
-                    assert!(
-                        Vec3::from(a).cmpge(min).all() && Vec3::from(b).cmple(max).all(),
-                        "{name}: {shape}"
-                    );
-                    continue;
-                }
-                deepest = deepest.max(depth);
-                let rows = &bvh.rows[NODE_ROWS * reference as usize..][..NODE_ROWS];
-                for side in rows.chunks(2) {
-                    let (low, high) = (corner(side[0]), corner(side[1]));
-                    assert!(low.cmpge(min).all() && high.cmple(max).all(), "{name}: a box sticks out");
-                    open.push((side[0][3], (low, high), depth + 1));
-                }
+    #[inline(always)]
+    fn pop(&mut self) -> Option<u32> {
+        self.count = self.count.checked_sub(1)?;
+        Some(self.nodes[self.count])
+    }
+}
+
+/// The nearest shape that the ray meets, of equally near ones the first.
+pub fn intersect(scene: &CompiledScene, bvh: &Bvh, ray: Ray) -> Option<Hit> {
+    let walker = walker(ray);
+    let mut hit = Hit { t: T_MISS, shape: u32::MAX };
+    let mut waiting = Waiting::none();
+    let mut at = 0;
+    loop {
+        if at & LEAF != 0 {
+            let shape = at & !LEAF;
+            let t = shape_distance(scene, &walker, shape);
+            if t < hit.t || (t == hit.t && shape < hit.shape && t < T_MISS) {
+                hit = Hit { t, shape };
             }
-            assert!(seen.iter().all(|&n| n == 1), "{name}: {seen:?}");
-            assert_eq!(deepest, bvh.depth, "{name}");
+        } else {
+            let met = children_met(bvh, at, &walker, hit.t);
+            if met.any {
+                at = met.nearer;
+                if met.both {
+                    waiting.push(met.farther);
+                }
+                continue;
+            }
+        }
+        match waiting.pop() {
+            Some(node) => at = node,
+            None => return (hit.shape != u32::MAX).then_some(hit),
         }
     }
+}
 
-    #[test]
-    fn boxes_hold_points_of_their_shapes() {
-        let sphere = Sphere { center: Vec3::new(1.0, -2.0, 3.0), radius: 0.5, ..Default::default() };
-        let Aabb { min, max } = sphere_bounds(&sphere).0;
-        assert!(min.y < -2.5 && max.z > 3.5 && min.x > 0.49 && max.x < 1.51);
-        let quad =
-            Quad { corner: Vec3::ONE, e1: Vec3::NEG_X, e2: Vec3::new(0.0, 2.0, 1.0), ..Default::default() };
-        let Aabb { min, max } = quad_bounds(&quad).0;
-        assert!(min.x < 0.0 && max.x > 1.0 && max.y > 3.0 && max.z > 2.0 && min.y < 1.0 && max.y < 3.01);
+/// Whether anything but `excluded` (the light aimed at) lies nearer than `t_max`.
+pub fn occluded(scene: &CompiledScene, bvh: &Bvh, ray: Ray, t_max: f32, excluded: u32) -> bool {
+    let walker = walker(ray);
+    let mut waiting = Waiting::none();
+    let mut at = 0;
+    loop {
+        if at & LEAF != 0 {
+            let shape = at & !LEAF;
+            if shape != excluded && shape_distance(scene, &walker, shape) < t_max {
+                return true;
+            }
+        } else {
+            let met = children_met(bvh, at, &walker, t_max);
+            if met.any {
+                at = met.nearer;
+                if met.both {
+                    waiting.push(met.farther);
+                }
+                continue;
+            }
+        }
+        match waiting.pop() {
+            Some(node) => at = node,
+            None => return false,
+        }
     }
 }

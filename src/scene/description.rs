@@ -1,6 +1,8 @@
 //! The keys of a scene file and what they mean: a tree in, a validated [`Scene`] out.
 
 use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
 
 use glam::DVec3;
 
@@ -8,18 +10,19 @@ use super::boxes::box_quads;
 use super::document::{Node, Value};
 use super::error::{Fault, SceneError, quoted, suggestion};
 use super::fields::Fields;
+use super::mesh;
 use super::validate::{self, material_label, shape_label};
-use super::{Camera, Defaults, Geometry, Material, MaterialKind, Scene, Shape};
+use super::{Camera, Defaults, Geometry, Material, MaterialKind, Mesh, Placement, Scene, Shape};
 
 const TOP_KEYS: [&str; 7] = ["name", "description", "camera", "environment", "render", "materials", "shapes"];
 const MATERIAL_TYPES: [&str; 4] = ["diffuse", "mirror", "glossy", "dielectric"];
-const SHAPE_TYPES: [&str; 3] = ["sphere", "quad", "box"];
+const SHAPE_TYPES: [&str; 4] = ["sphere", "quad", "box", "mesh"];
 
 /// Names of materials and their places in [`Scene::materials`].
 pub(super) type MaterialNames = BTreeMap<String, usize>;
 
-/// Reads and validates a whole document.
-pub(super) fn scene(root: &Node) -> Result<Scene, SceneError> {
+/// Reads and validates a whole document, meshes from the folder in which it lies.
+pub(super) fn scene(root: &Node, folder: Option<&Path>) -> Result<Scene, SceneError> {
     let top = Fields::of(root).map_err(|fault| fault.of("scene", root.line))?;
     let (name, description) = heading(&top).map_err(|fault| fault.of("scene", root.line))?;
     let materials = materials(top.node("materials"))?;
@@ -30,7 +33,7 @@ pub(super) fn scene(root: &Node) -> Result<Scene, SceneError> {
         description,
         camera: section(&top, "camera", camera)?.ok_or_else(no_camera)?,
         environment: section(&top, "environment", environment)?.unwrap_or(DVec3::ZERO),
-        shapes: shapes(top.node("shapes"), &names)?,
+        shapes: shapes(top.node("shapes"), &names, folder)?,
         defaults: section(&top, "render", render)?.unwrap_or_default(),
         materials,
     };
@@ -148,7 +151,11 @@ fn material_kind(fields: &Fields<'_>) -> Result<MaterialKind, Fault> {
     }
 }
 
-fn shapes(node: Option<&Node>, names: &MaterialNames) -> Result<Vec<Shape>, SceneError> {
+fn shapes(
+    node: Option<&Node>,
+    names: &MaterialNames,
+    folder: Option<&Path>,
+) -> Result<Vec<Shape>, SceneError> {
     let Some(node) = node else {
         return Ok(Vec::new());
     };
@@ -158,8 +165,8 @@ fn shapes(node: Option<&Node>, names: &MaterialNames) -> Result<Vec<Shape>, Scen
     };
     let mut shapes = Vec::with_capacity(list.len());
     for (index, node) in list.iter().enumerate() {
-        let sides =
-            shape(node, names).map_err(|fault| fault.of(&shape_label(index, shape_name(node)), node.line))?;
+        let sides = shape(node, names, folder)
+            .map_err(|fault| fault.of(&shape_label(index, shape_name(node)), node.line))?;
         shapes.extend(sides);
     }
     Ok(shapes)
@@ -176,9 +183,9 @@ fn shape_name(node: &Node) -> Option<&str> {
     }
 }
 
-fn shape(node: &Node, names: &MaterialNames) -> Result<Vec<Shape>, Fault> {
+fn shape(node: &Node, names: &MaterialNames, folder: Option<&Path>) -> Result<Vec<Shape>, Fault> {
     let fields = Fields::of(node)?;
-    let sides = geometry(&fields)?;
+    let sides = geometry(&fields, folder)?;
     let name: Option<String> = fields.get("name")?;
     let wanted: String = fields.need("material")?;
     let line = fields.node("material").and_then(|node| node.line);
@@ -186,7 +193,7 @@ fn shape(node: &Node, names: &MaterialNames) -> Result<Vec<Shape>, Fault> {
     Ok(sides.into_iter().map(|geometry| Shape { name: name.clone(), material, geometry }).collect())
 }
 
-fn geometry(fields: &Fields<'_>) -> Result<Vec<Geometry>, Fault> {
+fn geometry(fields: &Fields<'_>, folder: Option<&Path>) -> Result<Vec<Geometry>, Fault> {
     let kind: String = fields.need("type")?;
     let geometry = match kind.as_str() {
         "sphere" => {
@@ -199,6 +206,7 @@ fn geometry(fields: &Fields<'_>) -> Result<Vec<Geometry>, Fault> {
             Geometry::Quad { corner: fields.need("corner")?, e1: fields.need("e1")?, e2: fields.need("e2")? }
         }
         "box" => return boxed(fields),
+        "mesh" => return Ok(vec![meshed(fields, folder)?]),
         other => return Err(unknown_type(fields, other, &SHAPE_TYPES)),
     };
     validate::geometry(&geometry).map_err(|problem| fields.broken(problem))?;
@@ -211,6 +219,22 @@ fn boxed(fields: &Fields<'_>) -> Result<Vec<Geometry>, Fault> {
     let rotate_y_deg = fields.get("rotate_y_deg")?.unwrap_or(0.0);
     validate::boxed(center, size, rotate_y_deg).map_err(|problem| fields.broken(problem))?;
     Ok(box_quads(center, size, rotate_y_deg).to_vec())
+}
+
+fn meshed(fields: &Fields<'_>, folder: Option<&Path>) -> Result<Geometry, Fault> {
+    fields.only(&["type", "name", "material", "file", "scale", "rotate_y_deg", "translate"])?;
+    let usual = Placement::default();
+    let placement = Placement {
+        scale: fields.get("scale")?.unwrap_or(usual.scale),
+        rotate_y_deg: fields.get("rotate_y_deg")?.unwrap_or(usual.rotate_y_deg),
+        translate: fields.get("translate")?.unwrap_or(usual.translate),
+    };
+    validate::placement(&placement).map_err(|problem| fields.broken(problem))?;
+    let file: String = fields.need("file")?;
+    let data = mesh::of_scene(&file, folder).map_err(|problem| fields.broken(problem))?;
+    let mesh = Mesh::new(&data.placed(&placement))
+        .map_err(|problem| fields.broken(format!("file {} {problem}", quoted(&file))))?;
+    Ok(Geometry::Mesh(Arc::new(mesh)))
 }
 
 /// The index of a material, or which name may have been meant.

@@ -21,25 +21,27 @@ impl Scene {
     /// Reads and validates a `.toml` or `.json` file.
     ///
     /// # Errors
-    /// Files that are missing, not regular, above 64 MiB, not UTF-8 or of another extension; malformed text; and
-    /// everything that [`validate`](Self::validate) refuses. Each error names the file.
+    /// Files that are missing, not regular, above 64 MiB, not UTF-8 or of another extension; malformed text; mesh files
+    /// outside the scene's folder or with anything wrong; and everything that [`validate`](Self::validate) refuses. Each
+    /// error names the file.
     pub fn load(path: impl AsRef<Path>) -> Result<Self, SceneError> {
         let path = path.as_ref();
         let refuse = |problem| SceneError::File { path: path.to_owned(), problem };
         let text = read(path).map_err(refuse)?;
-        let scene = match format(path).map_err(refuse)? {
-            Format::Toml => Self::from_toml(&text),
-            Format::Json => Self::from_json(&text),
+        let tree = match format(path).map_err(refuse)? {
+            Format::Toml => not_empty(&text).and_then(Node::from_toml),
+            Format::Json => not_empty(&text).and_then(Node::from_json),
         };
+        let scene = tree.and_then(|tree| description::scene(&tree, path.parent()));
         scene.map_err(|error| error.in_file(path))
     }
 
-    /// Reads and validates TOML text.
+    /// Reads and validates TOML text. It has no folder in which to look for meshes.
     ///
     /// # Errors
     /// Malformed text, and everything that [`validate`](Self::validate) refuses.
     pub fn from_toml(text: &str) -> Result<Self, SceneError> {
-        description::scene(&Node::from_toml(not_empty(text)?)?)
+        description::scene(&Node::from_toml(not_empty(text)?)?, None)
     }
 
     /// Reads and validates JSON text, with the keys of the TOML form.
@@ -47,7 +49,7 @@ impl Scene {
     /// # Errors
     /// As [`from_toml`](Self::from_toml).
     pub fn from_json(text: &str) -> Result<Self, SceneError> {
-        description::scene(&Node::from_json(not_empty(text)?)?)
+        description::scene(&Node::from_json(not_empty(text)?)?, None)
     }
 }
 
@@ -92,7 +94,7 @@ fn read(path: &Path) -> Result<String, String> {
     })
 }
 
-fn io_problem(error: &std::io::Error) -> String {
+pub(super) fn io_problem(error: &std::io::Error) -> String {
     match error.kind() {
         ErrorKind::NotFound => "no such file; check the path".to_owned(),
         ErrorKind::PermissionDenied => "can't be read: permission denied; check its mode".to_owned(),

@@ -35,15 +35,24 @@
 //! size = [1, 1, 1]
 //! rotate_y_deg = 30
 //! material = "white"
+//! [[shapes]]
+//! type = "mesh"               # triangles of a .ply or .obj file beside the scene
+//! file = "meshes/blob.ply"
+//! scale = 0.5                 # default 1, then rotate_y_deg, then translate
+//! translate = [0, 1, 0]
+//! material = "white"
 //! ```
 
 mod boxes;
 pub mod bvh;
+mod bvh_build;
 pub mod camera;
 mod coincidence;
 pub mod compiled;
+mod mesh;
 pub mod rows;
 pub mod shapes;
+pub mod triangle;
 
 mod builder;
 mod description;
@@ -57,10 +66,13 @@ mod tests;
 mod validate;
 mod warning;
 
+use std::sync::Arc;
+
 use glam::DVec3;
 
 pub use builder::SceneBuilder;
 pub use error::{Place, SceneError};
+pub use mesh::{Mesh, MeshData, Placement, Repairs};
 pub use validate::check_image_size;
 pub use warning::SceneWarning;
 
@@ -220,7 +232,7 @@ pub struct Shape {
 }
 
 /// The surfaces a renderer knows, in world units.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Geometry {
     /// A sphere; its outward normal points to the centre when `inward`.
     Sphere {
@@ -240,4 +252,6 @@ pub enum Geometry {
         /// Second edge.
         e2: DVec3,
     },
+    /// Triangles, each with its outward normal on the side from which its corners go counterclockwise.
+    Mesh(Arc<Mesh>),
 }

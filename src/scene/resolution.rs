@@ -14,7 +14,7 @@ pub(super) struct Resolution {
 }
 
 impl Resolution {
-    /// The radius of a sphere, the lesser height of a parallelogram.
+    /// The radius of a sphere, the lesser height of a parallelogram, the longest side of the box around a mesh.
     pub fn of(geometry: &Geometry) -> Resolution {
         let offset = |largest: f64| f64::from(RELATIVE_OFFSET) * largest;
         match *geometry {
@@ -26,6 +26,11 @@ impl Resolution {
                 let largest = corners.iter().fold(0.0f64, |most, v| most.max(v.abs().max_element()));
                 let height = e1.cross(e2).length() / e1.length().max(e2.length());
                 Resolution { size: height, offset: offset(largest) }
+            }
+            Geometry::Mesh(ref mesh) => {
+                let [low, high] = mesh.bounds().map(|corner| corner.as_dvec3());
+                let largest = low.abs().max(high.abs()).max_element();
+                Resolution { size: (high - low).max_element(), offset: offset(largest) }
             }
         }
     }

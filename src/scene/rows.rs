@@ -2,7 +2,7 @@
 //! reads of the shapes lies together in the first two, apart from what only a hit needs.
 //! GPU twin: kernels/scene/data.wesl
 
-use super::compiled::{CompiledScene, Light, Material, Quad, Sphere};
+use super::compiled::{CompiledScene, Light, Material, Quad, Sphere, Triangle};
 use crate::layout::GpuStruct;
 use std::mem::offset_of;
 use std::ops::Range;
@@ -36,13 +36,14 @@ impl<'a> Part<'a> {
 }
 
 /// The parts in the order in which they lie in the buffer.
-fn parts(scene: &CompiledScene) -> [Part<'_>; 7] {
+fn parts(scene: &CompiledScene) -> [Part<'_>; 8] {
     let nodes = scene.bvh.as_ref().map_or(&[][..], |bvh| &bvh.rows);
     [
         Part::new(&scene.spheres, 0..SPHERE_HOT_ROWS),
         Part::new(&scene.quads, 0..QUAD_HOT_ROWS),
         Part::new(&scene.spheres, SPHERE_HOT_ROWS..Sphere::ROWS),
         Part::new(&scene.quads, QUAD_HOT_ROWS..Quad::ROWS),
+        Part::new(&scene.triangles, 0..Triangle::ROWS),
         Part::new(&scene.materials, 0..Material::ROWS),
         Part::new(&scene.lights, 0..Light::ROWS),
         Part { rows: nodes, rows_per_item: 1, wanted: 0..1 },
@@ -52,6 +53,11 @@ fn parts(scene: &CompiledScene) -> [Part<'_>; 7] {
 /// All rows of the scene.
 pub fn pack(scene: &CompiledScene) -> Vec<Row> {
     parts(scene).iter().flat_map(Part::rows).collect()
+}
+
+/// Bytes of all rows, before there are any.
+pub fn bytes(scene: &CompiledScene) -> u64 {
+    parts(scene).iter().map(|part| (part.len() * size_of::<Row>()) as u64).sum()
 }
 
 /// Rows of an aligned quad in [`hot`].
@@ -82,7 +88,7 @@ fn aligned_rows(quad: &Quad, axis: usize) -> [Row; ALIGNED_ROWS] {
 }
 
 /// The number of the first row of each part.
-pub fn first_rows(scene: &CompiledScene) -> [u32; 7] {
+pub fn first_rows(scene: &CompiledScene) -> [u32; 8] {
     let mut next = 0;
     parts(scene).map(|part| {
         let first = next;
@@ -103,11 +109,12 @@ mod tests {
         bytemuck::cast_slice(&words).to_vec()
     }
 
-    fn numbered_scene(spheres: usize, quads: usize) -> CompiledScene {
+    fn numbered_scene(spheres: usize, quads: usize, triangles: usize) -> CompiledScene {
         CompiledScene {
             spheres: numbered(spheres, 1_000),
             quads: numbered(quads, 2_000),
             materials: numbered(4, 3_000),
+            triangles: numbered(triangles, 5_000),
             lights: numbered(5, 4_000),
             ..Default::default()
         }
@@ -128,8 +135,8 @@ mod tests {
 
     #[test]
     fn unpacking_gives_back_every_struct() {
-        for (spheres, quads) in [(3, 7), (0, 7), (3, 0)] {
-            let scene = numbered_scene(spheres, quads);
+        for (spheres, quads, triangles) in [(3, 7, 0), (0, 7, 5), (3, 0, 2)] {
+            let scene = numbered_scene(spheres, quads, triangles);
             let rows = pack(&scene);
             let at = scene.uniforms(&camera(), 1, 1, 0);
             let first_quad_row = first_rows(&scene)[1];
@@ -142,19 +149,27 @@ mod tests {
                     *quad
                 );
             }
+            for (i, triangle) in scene.triangles.iter().enumerate() {
+                assert_eq!(item::<Triangle>(&rows, i, Triangle::ROWS, at.first_triangle_row, 0), *triangle);
+            }
             for (i, material) in scene.materials.iter().enumerate() {
                 assert_eq!(item::<Material>(&rows, i, Material::ROWS, at.first_material_row, 0), *material);
             }
             for (i, light) in scene.lights.iter().enumerate() {
                 assert_eq!(item::<Light>(&rows, i, Light::ROWS, at.first_light_row, 0), *light);
             }
+            assert_eq!(bytes(&scene), size_of_val(&rows[..]) as u64);
             let hot = hot(&scene);
             assert_eq!(hot[spheres..], rows[spheres..spheres + 4 * quads], "no quad is aligned");
             for (brief, whole) in hot.iter().zip(&rows[..spheres]) {
                 let radius = f32::from_bits(whole[3]);
                 assert_eq!((&brief[..3], f32::from_bits(brief[3])), (&whole[..3], radius * radius));
             }
-            assert_eq!(rows.len(), 2 * spheres + 6 * quads + 2 * 4 + 2 * 5, "nothing lies there twice");
+            assert_eq!(
+                rows.len(),
+                2 * spheres + 6 * quads + 3 * triangles + 2 * 4 + 2 * 5,
+                "nothing lies there twice"
+            );
         }
     }
 

@@ -1,7 +1,8 @@
-//! Spheres and parallelograms: intersection and the surface at a hit. Shapes are numbered spheres first, then quads.
-//! GPU twin: kernels/scene/shapes.wesl
+//! Spheres and parallelograms: intersection; of all shapes, the surface at a hit. Shapes are numbered spheres first, then
+//! quads, then triangles. GPU twin: kernels/scene/shapes.wesl
 
-use super::compiled::{CompiledScene, Quad, Sphere};
+use super::compiled::{CompiledScene, Quad, ShapeIndex, Sphere, Triangle};
+use super::triangle::{double_area, intersect_triangle, onto_triangle, ray_shear};
 use glam::Vec3;
 
 #[derive(Clone, Copy, Debug)]
@@ -80,19 +81,24 @@ pub fn intersect_quad(ray: &Ray, quad: &Quad) -> f32 {
     if inside && t > 0.0 { t } else { T_MISS }
 }
 
+/// Distances to all shapes, in the order of their numbers.
+fn distances(scene: &CompiledScene, ray: Ray) -> impl Iterator<Item = f32> + '_ {
+    let view = ray_shear(ray.direction);
+    let triangle = move |t: &Triangle| match intersect_triangle(ray.origin, &view, t.a, t.b, t.c) {
+        t if t > 0.0 => t,
+        _ => T_MISS,
+    };
+    let spheres = scene.spheres.iter().map(move |sphere| intersect_sphere(&ray, sphere));
+    let quads = scene.quads.iter().map(move |quad| intersect_quad(&ray, quad));
+    spheres.chain(quads).chain(scene.triangles.iter().map(triangle))
+}
+
 /// The nearest shape that the ray meets, by asking one after the other. The CPU engine asks [`crate::accel`] instead.
 pub fn intersect(scene: &CompiledScene, ray: Ray) -> Option<Hit> {
     let mut hit = Hit { t: T_MISS, shape: u32::MAX };
-    for (i, sphere) in scene.spheres.iter().enumerate() {
-        let t = intersect_sphere(&ray, sphere);
+    for (shape, t) in distances(scene, ray).enumerate() {
         if t < hit.t {
-            hit = Hit { t, shape: i as u32 };
-        }
-    }
-    for (i, quad) in scene.quads.iter().enumerate() {
-        let t = intersect_quad(&ray, quad);
-        if t < hit.t {
-            hit = Hit { t, shape: (scene.spheres.len() + i) as u32 };
+            hit = Hit { t, shape: shape as u32 };
         }
     }
     (hit.shape != u32::MAX).then_some(hit)
@@ -100,45 +106,60 @@ pub fn intersect(scene: &CompiledScene, ray: Ray) -> Option<Hit> {
 
 /// Whether anything but `excluded` (the light aimed at) lies nearer than `t_max`.
 pub fn occluded(scene: &CompiledScene, ray: Ray, t_max: f32, excluded: u32) -> bool {
-    let first_quad = scene.spheres.len();
-    let blocks = |shape: usize, t: f32| t < t_max && shape as u32 != excluded;
-    scene.spheres.iter().enumerate().any(|(i, s)| blocks(i, intersect_sphere(&ray, s)))
-        || scene.quads.iter().enumerate().any(|(i, q)| blocks(first_quad + i, intersect_quad(&ray, q)))
+    distances(scene, ray).enumerate().any(|(shape, t)| t < t_max && shape as u32 != excluded)
 }
 
 #[inline(always)]
 pub fn shape_info(scene: &CompiledScene, shape: u32) -> ShapeInfo {
-    match scene.quad_index(shape) {
-        None => {
-            let s = &scene.spheres[shape as usize];
+    match scene.shape_index(shape) {
+        ShapeIndex::Sphere(i) => {
+            let s = &scene.spheres[i];
             ShapeInfo { material: s.material, kind: s.kind, light: s.light }
         }
-        Some(i) => {
+        ShapeIndex::Quad(i) => {
             let q = &scene.quads[i];
             ShapeInfo { material: q.material, kind: q.kind, light: q.light }
         }
+        ShapeIndex::Triangle(i) => {
+            let t = &scene.triangles[i];
+            ShapeInfo { material: t.material, kind: t.kind, light: t.light }
+        }
     }
+}
+
+#[inline(always)]
+fn largest(v: Vec3) -> f32 {
+    v.abs().max_element()
 }
 
 /// The surface where the ray hits: the point is put back onto the shape, so that its error does not grow with t.
 #[inline(always)]
 pub fn surface_at(scene: &CompiledScene, ray: Ray, hit: Hit) -> Surface {
     let p = ray.origin + ray.direction * hit.t;
-    match scene.quad_index(hit.shape) {
-        None => {
-            let Sphere { center, radius, inward, .. } = scene.spheres[hit.shape as usize];
+    match scene.shape_index(hit.shape) {
+        ShapeIndex::Sphere(i) => {
+            let Sphere { center, radius, inward, .. } = scene.spheres[i];
             let outward = (p - center).normalize();
             Surface {
                 position: center + outward * radius,
                 normal: if inward != 0 { -outward } else { outward },
-                offset: RELATIVE_OFFSET * center.abs().max_element().max(radius),
+                offset: RELATIVE_OFFSET * largest(center).max(radius),
             }
         }
-        Some(i) => {
+        ShapeIndex::Quad(i) => {
             let Quad { corner, normal, .. } = scene.quads[i];
             let position = p - normal * normal.dot(p - corner);
-            let size = corner.abs().max_element().max(position.abs().max_element());
+            let size = largest(corner).max(largest(position));
             Surface { position, normal, offset: RELATIVE_OFFSET * size }
+        }
+        ShapeIndex::Triangle(i) => {
+            let Triangle { a, b, c, .. } = scene.triangles[i];
+            let size = largest(a).max(largest(b).max(largest(c)));
+            Surface {
+                position: onto_triangle(p, a, b, c),
+                normal: double_area(a, b, c).normalize(),
+                offset: RELATIVE_OFFSET * size,
+            }
         }
     }
 }

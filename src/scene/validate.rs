@@ -5,7 +5,7 @@ use std::collections::HashSet;
 use glam::DVec3;
 
 use super::error::{Fault, quoted};
-use super::{Camera, Defaults, Geometry, Material, MaterialKind, Scene, SceneError, Shape};
+use super::{Camera, Defaults, Geometry, Material, MaterialKind, Placement, Scene, SceneError, Shape};
 
 /// `Err` says what is wrong and the remedy, without the object's name.
 type Check = Result<(), String>;
@@ -165,7 +165,18 @@ pub(super) fn geometry(geometry: &Geometry) -> Check {
     match *geometry {
         Geometry::Sphere { center, radius, .. } => sphere(center, radius),
         Geometry::Quad { corner, e1, e2 } => quad(corner, e1, e2),
+        // Checked when it was made.
+        Geometry::Mesh(_) => Ok(()),
     }
+}
+
+/// The rules for where a mesh stands.
+pub(super) fn placement(placement: &Placement) -> Check {
+    let Placement { scale, rotate_y_deg, translate } = *placement;
+    finite("scale", scale)?;
+    finite("rotate_y_deg", rotate_y_deg)?;
+    position("translate", translate)?;
+    ensure(scale > 0.0, || format!("scale {scale} must be positive; turn the mesh with rotate_y_deg"))
 }
 
 /// The rules for a box, before it becomes quads.

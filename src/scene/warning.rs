@@ -6,7 +6,7 @@ use super::coincidence::coincident;
 use super::error::quoted;
 use super::resolution::Resolution;
 use super::validate::shape_label;
-use super::{Material, Scene, Shape};
+use super::{Geometry, Material, Repairs, Scene, Shape};
 
 /// Something odd about a valid scene.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,6 +27,13 @@ pub enum SceneWarning {
         lamp: String,
         /// The shape in whose surface it lies.
         other: String,
+    },
+    /// Triangles that were left out of a mesh.
+    MeshRepaired {
+        /// The mesh, as errors call it.
+        mesh: String,
+        /// How many of which kind.
+        repairs: Repairs,
     },
     /// Shapes are so small, so far from the origin, that rays leave them at a distance that matters.
     BelowResolution {
@@ -59,6 +66,11 @@ impl fmt::Display for SceneWarning {
                 "{lamp} lies in the surface of {other}, so rounding decides which of the two a ray meets; move the lamp \
                  off it a little, to the side that it lights"
             ),
+            Self::MeshRepaired { mesh, repairs: Repairs { degenerate, duplicate } } => write!(
+                f,
+                "{mesh}: left out {degenerate} triangles without area and {duplicate} that repeat another; clean the mesh \
+                 to be rid of this"
+            ),
             Self::BelowResolution { shape, size, offset, others } => {
                 let more = if *others > 0 { format!(" (and {others} more)") } else { String::new() };
                 write!(
@@ -80,8 +92,19 @@ impl Scene {
         }
         warnings.extend(self.materials.iter().filter_map(albedo_warning));
         warnings.extend(self.flush_lamps());
+        warnings.extend(self.repaired_meshes());
         warnings.extend(self.below_resolution());
         warnings
+    }
+
+    /// One warning for each mesh that has lost triangles.
+    fn repaired_meshes(&self) -> impl Iterator<Item = SceneWarning> + '_ {
+        self.shapes.iter().enumerate().filter_map(|(index, shape)| {
+            let Geometry::Mesh(mesh) = &shape.geometry else { return None };
+            let (repairs, name) = (mesh.repairs(), shape.name.as_deref());
+            (repairs != Repairs::default())
+                .then(|| SceneWarning::MeshRepaired { mesh: shape_label(index, name), repairs })
+        })
     }
 
     /// One warning for all shapes that are too small where they are.

@@ -3,7 +3,8 @@
 
 use crate::math::to_world;
 use crate::sampling::{alias_row, pdf_cone, sample_cone};
-use crate::scene::compiled::CompiledScene;
+use crate::scene::compiled::{CompiledScene, ShapeIndex, Triangle};
+use crate::scene::triangle::{double_area, sample_triangle};
 use glam::{Vec2, Vec3};
 use std::f32::consts::PI;
 
@@ -77,21 +78,44 @@ fn sample_quad_light(scene: &CompiledScene, origin: Vec3, i: usize, u: Vec2) -> 
     LightSample { wi, t: distance, pdf: distance2 / (cos_light * quad.area) }
 }
 
+/// Uniform over the area.
+#[inline(always)]
+fn sample_triangle_light(scene: &CompiledScene, origin: Vec3, i: usize, u: Vec2) -> LightSample {
+    let Triangle { a, b, c, .. } = scene.triangles[i];
+    let to_light = sample_triangle(u, a, b, c) - origin;
+    let distance2 = to_light.dot(to_light);
+    let distance = distance2.sqrt();
+    let wi = to_light / distance;
+    // Twice the area that the light shows.
+    let seen = -wi.dot(double_area(a, b, c));
+    if seen <= 0.0 || distance2 == 0.0 {
+        return LightSample::default();
+    }
+    LightSample { wi, t: distance, pdf: 2.0 * distance2 / seen }
+}
+
 /// A direction from `origin` to the light `shape`. `u` in [0, 1)².
 #[inline(always)]
 pub fn sample_light(scene: &CompiledScene, origin: Vec3, shape: u32, u: Vec2) -> LightSample {
-    match scene.quad_index(shape) {
-        None => sample_sphere_light(scene, origin, shape as usize, u),
-        Some(i) => sample_quad_light(scene, origin, i, u),
+    match scene.shape_index(shape) {
+        ShapeIndex::Sphere(i) => sample_sphere_light(scene, origin, i, u),
+        ShapeIndex::Quad(i) => sample_quad_light(scene, origin, i, u),
+        ShapeIndex::Triangle(i) => sample_triangle_light(scene, origin, i, u),
     }
+}
+
+#[inline(always)]
+fn pdf_quad_light(scene: &CompiledScene, i: usize, wi: Vec3, t: f32) -> f32 {
+    let quad = &scene.quads[i];
+    t * t / (wi.dot(quad.normal).abs().max(1e-20) * quad.area)
 }
 
 /// Density with which [`sample_light`] from `origin` would have chosen the direction `wi` that met `shape` at distance t.
 #[inline(always)]
 pub fn pdf_light(scene: &CompiledScene, origin: Vec3, shape: u32, wi: Vec3, t: f32) -> f32 {
-    match scene.quad_index(shape) {
-        None => {
-            let sphere = &scene.spheres[shape as usize];
+    match scene.shape_index(shape) {
+        ShapeIndex::Sphere(i) => {
+            let sphere = &scene.spheres[i];
             let to_center = sphere.center - origin;
             let distance2 = to_center.dot(to_center);
             if distance2 <= sphere.radius * sphere.radius {
@@ -99,9 +123,10 @@ pub fn pdf_light(scene: &CompiledScene, origin: Vec3, shape: u32, wi: Vec3, t: f
             }
             pdf_cone(sphere_cone(distance2, sphere.radius))
         }
-        Some(i) => {
-            let quad = &scene.quads[i];
-            t * t / (wi.dot(quad.normal).abs().max(1e-20) * quad.area)
+        ShapeIndex::Quad(i) => pdf_quad_light(scene, i, wi, t),
+        ShapeIndex::Triangle(i) => {
+            let Triangle { a, b, c, .. } = scene.triangles[i];
+            2.0 * t * t / wi.dot(double_area(a, b, c)).abs().max(1e-30)
         }
     }
 }

@@ -6,7 +6,7 @@ use super::items::{RayItem, ShadowItem};
 use super::light::{choose_light, pdf_light, sample_light};
 use super::roulette::Roulette;
 use super::split::{SEED_SHIFT, Share, bounce_of, budget_of, copies_of, pack_bounce, share_of};
-use crate::accel::ShapeLanes;
+use crate::accel::Search;
 use crate::bsdf::{BsdfSample, bsdf_evaluate, bsdf_sample};
 use crate::guiding::octant::Draws;
 use crate::guiding::table::GuidedDensity;
@@ -23,8 +23,8 @@ use glam::{Vec3, Vec4, Vec4Swizzles};
 #[derive(Clone, Copy, Debug)]
 pub struct Transport<'a> {
     pub scene: &'a CompiledScene,
-    /// Its shapes, to be intersected.
-    pub lanes: &'a ShapeLanes,
+    /// What finds its shapes.
+    pub search: &'a Search<'a>,
     pub uniforms: &'a Uniforms,
     pub sampler: Sampler,
     /// Next-event estimation, combined with BSDF sampling; needs a light.
@@ -102,10 +102,10 @@ pub const SHADOW_END: f32 = 1.0 - 1.0 / 1_048_576.0;
 
 impl<'a> Transport<'a> {
     /// Independent samples, no direct light, roulette by throughput, no guide.
-    pub fn plain(scene: &'a CompiledScene, lanes: &'a ShapeLanes, uniforms: &'a Uniforms) -> Transport<'a> {
+    pub fn plain(scene: &'a CompiledScene, search: &'a Search<'a>, uniforms: &'a Uniforms) -> Transport<'a> {
         Transport {
             scene,
-            lanes,
+            search,
             uniforms,
             sampler: Sampler::Independent,
             direct_light: false,

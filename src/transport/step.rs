@@ -21,7 +21,7 @@ pub struct StepOutcome<'a> {
 impl<'a> Transport<'a> {
     #[inline]
     pub fn step(&self, ray: &RayItem, trail: &Trail) -> StepOutcome<'a> {
-        let hit = self.lanes.intersect(Ray { origin: ray.origin, direction: ray.direction });
+        let hit = self.search.intersect(Ray { origin: ray.origin, direction: ray.direction });
         let Some(hit) = hit else {
             self.learn(&Transition {
                 slot: trail.slot,
@@ -35,7 +35,7 @@ impl<'a> Transport<'a> {
         let direct = match shaded.shadow {
             Some(shadow) => {
                 let towards = Ray { origin: shadow.origin, direction: shadow.direction };
-                let blocked = self.lanes.occluded(towards, shadow.t_max, shadow.light_shape);
+                let blocked = self.search.occluded(towards, shadow.t_max, shadow.light_shape);
                 if blocked {
                     Vec3::ZERO
                 } else {

@@ -10,7 +10,7 @@ use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
 use qtracer::Sampler;
-use qtracer::accel::ShapeLanes;
+use qtracer::accel::Search;
 use qtracer::gpu::device::Gpu;
 use qtracer::gpu::key::KernelKey;
 use qtracer::guiding::octant::{octant_of, octant_share, octant_shares};
@@ -268,14 +268,14 @@ fn directions_drawn_on_the_gpu_follow_the_density_of_the_cpu() {
         out0 = vec4<u32>(bitcast<vec3<u32>>(wi), bitcast<u32>(guided_pdf(point, normal, wi)));",
     );
     let scene = CompiledScene::new(&scene("cornell-box"));
-    let (lanes, uniforms) = (ShapeLanes::new(&scene), Uniforms::default());
+    let (search, uniforms) = (Search::new(&scene), Uniforms::default());
     let material = Material { color: Vec3::splat(0.5), kind: KIND_DIFFUSE, ..Default::default() };
     let cells = Cells { rows: 16, columns: 32, ..Cells::sphere(Vec3::Z) };
     for mode in [GuideMode::Adaptive, GuideMode::Octant, GuideMode::BansalReweighted] {
         let table = learnt(mode, 9).table;
         let sums = LessonSums::new(LessonLayout::new(&table.uniforms));
         let guidance = Some(Guidance { mode, table: &table, sums: &sums });
-        let transport = Transport { guidance, ..Transport::plain(&scene, &lanes, &uniforms) };
+        let transport = Transport { guidance, ..Transport::plain(&scene, &search, &uniforms) };
         for i in [4, 5] {
             let position = surface_point(77, i).0;
             let normal = Vec3::new(-0.35, 0.2 * i as f32, 0.4).normalize();

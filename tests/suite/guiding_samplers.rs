@@ -8,7 +8,7 @@ use crate::support::scene;
 use crate::tables::*;
 use glam::{Vec3, Vec4Swizzles};
 use qtracer::Sampler;
-use qtracer::accel::ShapeLanes;
+use qtracer::accel::Search;
 use qtracer::guiding::octant::{
     Draws, octant_of, octant_share, octant_shares, pdf_in_octant, sample_in_octant,
 };
@@ -127,8 +127,8 @@ fn quadtree_directions_follow_their_density() {
 
 /// What a transport needs besides its table.
 struct World {
-    scene: CompiledScene,
-    lanes: ShapeLanes,
+    scene: &'static CompiledScene,
+    search: Search<'static>,
     uniforms: Uniforms,
     learnt: Learnt,
     sums: LessonSums,
@@ -136,15 +136,15 @@ struct World {
 
 impl World {
     fn new(mode: GuideMode, seed: u32) -> World {
-        let scene = CompiledScene::new(&scene("cornell-box"));
+        let scene: &CompiledScene = Box::leak(Box::new(CompiledScene::new(&scene("cornell-box"))));
         let learnt = learnt(mode, seed);
         let sums = LessonSums::new(LessonLayout::new(&learnt.table.uniforms));
-        World { lanes: ShapeLanes::new(&scene), uniforms: Uniforms::default(), scene, learnt, sums }
+        World { search: Search::new(scene), uniforms: Uniforms::default(), scene, learnt, sums }
     }
 
     fn transport(&self) -> Transport<'_> {
         let guidance = Guidance { mode: self.learnt.mode, table: &self.learnt.table, sums: &self.sums };
-        Transport { guidance: Some(guidance), ..Transport::plain(&self.scene, &self.lanes, &self.uniforms) }
+        Transport { guidance: Some(guidance), ..Transport::plain(self.scene, &self.search, &self.uniforms) }
     }
 
     /// What the guide knows at the `i`-th surface point, at a surface that turns `normal` that way.

@@ -1,6 +1,6 @@
 //! The kernels as text: they link for every key, are valid, have the layouts that Rust has, and hold only what is needed.
 
-use crate::support::{Engine, SCHEDULES, estimators, render, root, scene, scene_names, small};
+use crate::support::{Engine, SCHEDULES, estimators, icosphere, render, root, scene, scene_names, small};
 use naga::TypeInner;
 use qtracer::film::BlockSum;
 use qtracer::gpu::key::KernelKey;
@@ -11,8 +11,9 @@ use qtracer::guiding::{GuideMode, GuideUniforms, Trail, Transition, lessons, qua
 use qtracer::layout::GpuStruct;
 use qtracer::random::{DIMENSION_CAMERA, dimension_bsdf, dimension_guide, dimension_light};
 use qtracer::scene::Material as SceneMaterial;
-use qtracer::scene::compiled::{self, CompiledScene, Light, Material, Quad, Sphere, Uniforms};
+use qtracer::scene::compiled::{self, CompiledScene, Light, Material, Quad, Sphere, Triangle, Uniforms};
 use qtracer::scene::shapes::{RELATIVE_OFFSET, T_MISS};
+use qtracer::scene::triangle::SMALLEST_SQUARE;
 use qtracer::transport::estimators::Estimators;
 use qtracer::transport::items::{HitItem, RayItem, ShadowItem};
 use qtracer::transport::path::SHADOW_END;
@@ -101,6 +102,72 @@ fn names(wgsl: &str) -> BTreeSet<String> {
     functions.chain(globals).collect()
 }
 
+/// Triangles with or without spheres and quads beside them, each kind shining or not.
+fn mesh_scenes() -> Vec<Scene> {
+    let scene = |beside: usize, lamp: usize| {
+        let mut builder = Scene::builder("meshes")
+            .camera([0.0, 0.0, 4.0], [0.0; 3], 45.0)
+            .material("dull", SceneMaterial::diffuse([0.5; 3]))
+            .material("lamp", SceneMaterial::diffuse([0.0; 3]).emitting([1.0; 3]));
+        let material = |kind| if kind == lamp { "lamp" } else { "dull" };
+        builder = builder.mesh(icosphere(0), material(0));
+        if beside & 1 != 0 {
+            builder = builder.sphere([3.0, 0.0, 0.0], 1.0, material(1));
+        }
+        if beside & 2 != 0 {
+            builder = builder.quad([0.0, 3.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0], material(2));
+        }
+        builder.build().unwrap()
+    };
+    (0..4).flat_map(|beside| (0..4).map(move |lamp| scene(beside, lamp))).collect()
+}
+
+#[test]
+fn every_stage_links_and_validates_for_every_scene_with_meshes() {
+    let mut flags = BTreeSet::new();
+    for scene in mesh_scenes() {
+        for estimators in [usual(), learning(LEARNING[2])] {
+            let key = KernelKey::new(&CompiledScene::new(&scene), &estimators);
+            flags.extend(key.flags().into_iter().filter_map(|(name, on)| on.then_some(name)));
+            for (stage, schedule) in all_stages(&key) {
+                validate(&link(stage, &key, schedule).unwrap());
+            }
+        }
+    }
+    let lights = ["triangles", "triangle_lights", "sphere_lights", "quad_lights"];
+    assert!(lights.iter().all(|flag| flags.contains(flag)), "{flags:?}");
+}
+
+/// What kernels hold where there are triangles, and where these shine.
+#[test]
+fn without_meshes_nothing_of_triangles_is_linked() {
+    let triangle = ["triangle_at", "triangle_distance", "intersect_triangle", "ray_shear", "onto_triangle"];
+    let shining = ["sample_triangle", "sample_triangle_light"];
+    let all = |scene: &Scene| -> BTreeSet<String> {
+        linked(scene, &usual()).iter().flat_map(|(_, wgsl)| names(wgsl)).collect()
+    };
+    for name in ["cornell-box", "bansal-room-1", "many-lights"] {
+        let names = all(&scene(name));
+        let foreign: Vec<_> =
+            names.iter().filter(|name| name.contains("triangle") || *name == "ray_shear").collect();
+        assert!(foreign.is_empty(), "{name} holds {foreign:?}");
+        for (kernel, wgsl) in linked(&scene(name), &usual()) {
+            let module = validate(&wgsl);
+            assert!(
+                module.types.iter().all(|(_, ty)| ty.name.as_deref() != Some("Triangle")),
+                "{kernel} of {name}"
+            );
+        }
+    }
+    // Negative control: with a mesh they are there, and light sampling only where it shines.
+    let dark = all(&scene("mesh"));
+    assert!(triangle.iter().all(|name| dark.contains(*name)), "{dark:?}");
+    assert!(shining.iter().all(|name| !dark.contains(*name)), "{dark:?}");
+    let bright = all(&mesh_scenes()[0]);
+    assert!(triangle.iter().chain(&shining).all(|name| bright.contains(*name)), "{bright:?}");
+    assert!(!bright.contains("sphere_at") && !bright.contains("quad_at"), "{bright:?}");
+}
+
 #[test]
 fn every_stage_links_and_validates_for_every_kind_of_scene() {
     for name in ["cornell-box", "bansal-room-1", "furnace-open", "glass-caustic", "glossy-box"] {
@@ -158,6 +225,7 @@ fn rust_layouts() -> Vec<Layout> {
         layout::<Uniforms>(),
         layout::<Sphere>(),
         layout::<Quad>(),
+        layout::<Triangle>(),
         layout::<Material>(),
         layout::<Light>(),
         layout::<RayItem>(),
@@ -199,6 +267,7 @@ fn structs_shared_with_the_kernels_have_equal_offsets_and_sizes() {
     kernels.extend(linked(&scene("many-lights"), &learning(LEARNING[2])));
     kernels.extend(linked(&scene("furnace-open"), &learning(LEARNING[6])));
     kernels.extend(linked(&scene("many-lights"), &splitting(4)));
+    kernels.extend(linked(&scene("mesh"), &usual()));
     for (kernel, wgsl) in kernels {
         let module = validate(&wgsl);
         for (name, fields, size) in rust_layouts() {
@@ -251,6 +320,7 @@ fn constants_shared_with_the_kernels_are_equal() {
         ("RELATIVE_OFFSET", f64::from(RELATIVE_OFFSET)),
         ("SHADOW_END", f64::from(SHADOW_END)),
         ("T_MISS", f64::from(T_MISS)),
+        ("SMALLEST_SQUARE", f64::from(SMALLEST_SQUARE)),
         ("DIMENSION_CAMERA", f64::from(DIMENSION_CAMERA)),
         ("CELL_ROWS", f64::from(table::CELL_ROWS)),
         ("FINER", f64::from(table::FINER)),
@@ -271,7 +341,7 @@ fn constants_shared_with_the_kernels_are_equal() {
     let mut seen = BTreeSet::new();
     let guided = LEARNING.into_iter().flat_map(|learnt| linked(&scene("bansal-room-1"), &learning(learnt)));
     let split = linked(&scene("bansal-room-1"), &splitting(5));
-    let large = linked(&scene("many-lights"), &usual());
+    let large = linked(&scene("many-lights"), &usual()).into_iter().chain(linked(&scene("mesh"), &usual()));
     let usual = linked(&scene("bansal-room-1"), &usual());
     for (kernel, wgsl) in usual.into_iter().chain(guided).chain(split).chain(large) {
         for (name, value) in constants(&wgsl) {

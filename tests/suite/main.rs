@@ -33,3 +33,4 @@ mod splitting;
 mod stage_twins;
 mod support;
 mod tables;
+mod triangles;

@@ -1,4 +1,4 @@
-//! Independent images: five scenes against Mitsuba 3, by z-test. tests/references holds block means of its converged
+//! Independent images: six scenes against Mitsuba 3, by z-test. tests/references holds block means of its converged
 //! images with their standard errors, made by examples/shrink_reference; a small pixel covers exactly one block, so
 //! rendering at the small size estimates the same values. Box filter, 64 levels, no roulette there.
 
@@ -104,6 +104,13 @@ fn bansal_room_5_agrees_with_mitsuba() {
 #[test]
 fn door_ajar_agrees_with_mitsuba() {
     Against::plain("door-ajar", "door", 3072, 27).agrees(0.02);
+}
+
+#[test]
+fn mesh_agrees_with_mitsuba() {
+    Against::plain("mesh", "mesh", 1024, 28).agrees(0.02);
+    let engine = Engine::Wavefront(Schedule::Fused);
+    Against { engine, ..Against::plain("mesh", "mesh", 512, 29) }.agrees(0.02);
 }
 
 /// All light of the caustic is found by chance, so its noise has a long tail.

@@ -5,7 +5,7 @@ use crate::engines::mean_z;
 use crate::furnace::{closed_form, mean_and_relative_error};
 use crate::guiding_renders::guided;
 use crate::support::*;
-use qtracer::accel::ShapeLanes;
+use qtracer::accel::Search;
 use qtracer::gpu::stage::Schedule;
 use qtracer::guiding::{GuideMode, LessonLayout, LessonSums, Trail};
 use qtracer::scene::compiled::{CompiledScene, Uniforms};
@@ -219,12 +219,12 @@ fn copies_of_a_path_share_its_places_and_choose_for_themselves() {
     let table = renderer.learner().unwrap().clone().table(true, &[0.02; 400]);
     let sums = LessonSums::new(LessonLayout::new(&table.uniforms));
     let compiled = CompiledScene::new(&scene);
-    let lanes = ShapeLanes::new(&compiled);
+    let search = Search::new(&compiled);
     let uniforms = compiled.uniforms(&scene.camera, 20, 20, 1);
     let uniforms = Uniforms { pixel_count: 400, max_bounces: 64, roulette_scale: 2.5, ..uniforms };
     for places in [2, 5, 8] {
         let guidance = Some(Guidance { mode: GuideMode::Adaptive, table: &table, sums: &sums });
-        let plain = Transport::plain(&compiled, &lanes, &uniforms);
+        let plain = Transport::plain(&compiled, &search, &uniforms);
         let transport = Transport { places, roulette: Roulette::Learnt, guidance, ..plain };
         let mut most = 0;
         for path in 0..400 {

@@ -1,12 +1,15 @@
 //! What the tests share: scenes, renders, the adapter under test.
 
+use glam::DVec3;
 use qtracer::film::Film;
 use qtracer::gpu::device::Gpu;
 use qtracer::gpu::stage::Schedule;
 use qtracer::guiding::GuideMode;
+use qtracer::scene::MeshData;
 use qtracer::transport::estimators::Estimators;
 use qtracer::transport::roulette::Roulette;
 use qtracer::{EngineChoice, Image, RenderOptions, RenderStats, Renderer, Sampler, Scene};
+use std::collections::HashMap;
 use std::path::PathBuf;
 
 /// Every way of rendering: the same transport, so the same image.
@@ -63,6 +66,39 @@ pub fn root() -> PathBuf {
 
 pub fn scene(name: &str) -> Scene {
     Scene::load(root().join(format!("scenes/{name}.toml"))).unwrap_or_else(|e| panic!("{e}"))
+}
+
+/// A sphere of 20 · 4^levels triangles, outwards: a closed surface in which each edge is shared by two.
+pub fn icosphere(levels: u32) -> MeshData {
+    let golden = (1.0 + 5f64.sqrt()) / 2.0;
+    let around = |i: usize, a: f64, b: f64| DVec3::from_array([[0.0, a, b], [a, b, 0.0], [b, 0.0, a]][i]);
+    let corners =
+        (0..12).map(|i| around(i / 4, [-1.0, 1.0][i % 2], [-golden, golden][i / 2 % 2]).normalize());
+    let mut positions: Vec<DVec3> = corners.collect();
+    let near = |a: usize, b: usize| positions[a].distance(positions[b]) < 1.1;
+    let mut triangles = Vec::new();
+    for (a, b, c) in (0..12).flat_map(|a| (0..a).flat_map(move |b| (0..b).map(move |c| (a, b, c)))) {
+        if near(a, b) && near(b, c) && near(c, a) {
+            let outwards = positions[a].cross(positions[b]).dot(positions[c]) > 0.0;
+            triangles.push((if outwards { [a, b, c] } else { [a, c, b] }).map(|i| i as u32));
+        }
+    }
+    assert_eq!(triangles.len(), 20);
+    for _ in 0..levels {
+        let mut middles = HashMap::new();
+        let mut middle = |a: u32, b: u32| {
+            *middles.entry((a.min(b), a.max(b))).or_insert_with(|| {
+                positions.push((positions[a as usize] + positions[b as usize]).normalize());
+                positions.len() as u32 - 1
+            })
+        };
+        let split = |&[a, b, c]: &[u32; 3]| {
+            let (ab, bc, ca) = (middle(a, b), middle(b, c), middle(c, a));
+            [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
+        };
+        triangles = triangles.iter().flat_map(split).collect();
+    }
+    MeshData { positions, normals: Vec::new(), triangles }
 }
 
 /// Names of all scenes, sorted.

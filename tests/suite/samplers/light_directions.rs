@@ -4,11 +4,12 @@ use super::lights::distance;
 use super::twins::{SIDES, Side, Twins, World};
 use super::{Cells, DRAW, DRAW_IMPORTS, WRONG, draw};
 use crate::probe::{floats, row};
-use glam::{Vec2, Vec3, Vec4Swizzles};
+use glam::{DVec3, Vec2, Vec3, Vec4Swizzles};
 use qtracer::scene::compiled::CompiledScene;
 use qtracer::scene::rows::Row;
 use qtracer::scene::shapes::T_MISS;
-use qtracer::scene::{Material as SceneMaterial, Scene, SceneBuilder};
+use qtracer::scene::triangle::double_area;
+use qtracer::scene::{Material as SceneMaterial, MeshData, Scene, SceneBuilder};
 use qtracer::transport::light::{pdf_light, sample_light};
 
 /// A scene of one lamp.
@@ -24,8 +25,18 @@ fn light_density(scene: &CompiledScene, origin: Vec3) -> impl Fn(Vec3) -> f64 {
     move |wi| match distance(scene, 0, origin, wi) {
         T_MISS => 0.0,
         _ if scene.quads.first().is_some_and(|quad| quad.normal.dot(wi) >= 0.0) => 0.0,
+        _ if scene.triangles.first().is_some_and(|t| double_area(t.a, t.b, t.c).dot(wi) >= 0.0) => 0.0,
         t => pdf_light(scene, origin, 0, wi, t).into(),
     }
+}
+
+/// A lamp that looks down.
+const TRIANGLE: [DVec3; 3] =
+    [DVec3::new(-1.0, 2.0, -1.0), DVec3::new(1.0, 2.0, -0.5), DVec3::new(-0.5, 2.3, 1.5)];
+
+fn triangle() -> CompiledScene {
+    let data = MeshData { positions: TRIANGLE.to_vec(), triangles: vec![[0, 1, 2]], ..Default::default() };
+    lamp(|b| b.mesh(data, "lamp"))
 }
 
 /// Scenes of one lamp, a point that it lights, and cells that hold it.
@@ -45,6 +56,13 @@ fn lit_points() -> Vec<(&'static str, CompiledScene, Vec3, Cells)> {
         let bottom = corners.iter().map(|c| f64::from(axis.dot(*c))).fold(1.0, f64::min) - 1e-4;
         Cells { axis, bottom, top: 1.0, rows: 24, columns: 24 }
     };
+    let around_triangle = |origin: Vec3| {
+        let corners = TRIANGLE.map(|corner| (corner.as_vec3() - origin).normalize());
+        let axis = corners.iter().sum::<Vec3>().normalize();
+        let bottom = corners.iter().map(|c| f64::from(axis.dot(*c))).fold(1.0, f64::min) - 1e-4;
+        Cells { axis, bottom, top: 1.0, rows: 24, columns: 24 }
+    };
+    let aslant = Vec3::new(-3.0, 1.2, 0.3);
     let cone = |radius: f64, origin: Vec3| {
         let sin2 = radius * radius / f64::from((centre - origin).length_squared());
         Cells { bottom: (1.0 - sin2).sqrt(), rows: 12, ..Cells::hemisphere((centre - origin).normalize()) }
@@ -61,6 +79,8 @@ fn lit_points() -> Vec<(&'static str, CompiledScene, Vec3, Cells)> {
         ),
         ("quad, near", quad(), below, around(&quad(), below)),
         ("quad, grazing", quad(), grazing, around(&quad(), grazing)),
+        ("triangle, near", triangle(), below, around_triangle(below)),
+        ("triangle, aslant", triangle(), aslant, around_triangle(aslant)),
     ]
 }
 
@@ -113,8 +133,9 @@ fn a_light_seen_from_its_dark_side_is_not_sampled() {
     let quad = lamp(|b| b.quad([-1.0, 2.0, -1.0], [2.0, 0.0, 0.0], [0.0, 0.0, 2.0], "lamp"));
     let outward = lamp(|b| b.sphere([0.0; 3], 1.0, "lamp"));
     let inward = lamp(|b| b.inward_sphere([0.0; 3], 1.0, "lamp"));
+    let above = Vec3::new(0.0, 3.0, 0.0);
     for (scene, dark) in
-        [(quad, Vec3::new(0.0, 3.0, 0.0)), (outward, Vec3::splat(0.1)), (inward, Vec3::splat(2.0))]
+        [(quad, above), (triangle(), above), (outward, Vec3::splat(0.1)), (inward, Vec3::splat(2.0))]
     {
         assert_eq!(sample_light(&scene, dark, 0, Vec2::splat(0.4)).pdf, 0.0);
     }

@@ -4,9 +4,10 @@ use super::twins::{SIDES, Twins, World, Worst};
 use crate::oracles::sampling::{Cap, ROUNDING, cap};
 use crate::probe::{Numbers, floats, row};
 use glam::{DVec3, Vec3, Vec3Swizzles};
-use qtracer::scene::compiled::{CompiledScene, Light, Material, Quad, Sphere};
+use qtracer::scene::compiled::{CompiledScene, Light, Material, Quad, ShapeIndex, Sphere, Triangle};
 use qtracer::scene::rows::Row;
 use qtracer::scene::shapes::{Ray, T_MISS, intersect_quad, intersect_sphere};
+use qtracer::scene::triangle::{intersect_triangle, ray_shear};
 use qtracer::transport::light::{pdf_light, sample_light};
 use std::f64::consts::PI;
 
@@ -53,9 +54,14 @@ fn ask(world: &World, [a, b, c]: &[Row; 3]) -> [Row; 3] {
 /// Distance at which a ray meets the shape; T_MISS if it does not.
 pub fn distance(scene: &CompiledScene, shape: u32, origin: Vec3, direction: Vec3) -> f32 {
     let ray = Ray { origin, direction };
-    match scene.quad_index(shape) {
-        None => intersect_sphere(&ray, &scene.spheres[shape as usize]),
-        Some(i) => intersect_quad(&ray, &scene.quads[i]),
+    match scene.shape_index(shape) {
+        ShapeIndex::Sphere(i) => intersect_sphere(&ray, &scene.spheres[i]),
+        ShapeIndex::Quad(i) => intersect_quad(&ray, &scene.quads[i]),
+        ShapeIndex::Triangle(i) => {
+            let Triangle { a, b, c, .. } = scene.triangles[i];
+            let t = intersect_triangle(origin, &ray_shear(direction), a, b, c);
+            if t > 0.0 { t } else { T_MISS }
+        }
     }
 }
 

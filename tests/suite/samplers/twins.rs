@@ -8,7 +8,7 @@ use glam::{DVec3, Vec3};
 use proptest::strategy::{Strategy, ValueTree};
 use proptest::test_runner::TestRunner;
 use qtracer::Sampler;
-use qtracer::accel::ShapeLanes;
+use qtracer::accel::Search;
 use qtracer::gpu::device::Gpu;
 use qtracer::gpu::key::KernelKey;
 use qtracer::guiding::GuideMode;
@@ -24,7 +24,7 @@ use wgpu::BufferUsages;
 /// What functions read besides their questions.
 pub struct World {
     pub scene: CompiledScene,
-    pub lanes: ShapeLanes,
+    pub search: Search<'static>,
     pub uniforms: Uniforms,
     pub sampler: Sampler,
 }
@@ -38,7 +38,8 @@ pub fn camera(fov_y_deg: f64) -> Camera {
 impl World {
     pub fn of(scene: CompiledScene) -> World {
         let uniforms = scene.uniforms(&camera(45.0), 1, 1, 0);
-        World { lanes: ShapeLanes::new(&scene), scene, uniforms, sampler: Sampler::Independent }
+        let search = Search::new(Box::leak(Box::new(scene.clone())));
+        World { search, scene, uniforms, sampler: Sampler::Independent }
     }
 
     /// A ball of every kind of material.
@@ -58,7 +59,7 @@ impl World {
 
     /// As the kernels of [`Twins`] are linked.
     pub fn transport(&self) -> Transport<'_> {
-        let plain = Transport::plain(&self.scene, &self.lanes, &self.uniforms);
+        let plain = Transport::plain(&self.scene, &self.search, &self.uniforms);
         Transport { direct_light: !self.scene.lights.is_empty(), sampler: self.sampler, ..plain }
     }
 

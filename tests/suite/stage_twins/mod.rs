@@ -12,7 +12,7 @@ use crate::recorded_levels::{skip_to, walk_level};
 use crate::support::{adapter, computes_to_the_letter, open_gpu, scene};
 use answers::Report;
 use glam::Vec3;
-use qtracer::accel::ShapeLanes;
+use qtracer::accel::Search;
 use qtracer::engine::RecordedLevel;
 use qtracer::gpu::stage::{Schedule, Stage};
 use qtracer::guiding::{GuideMode, GuideOptions, LessonLayout, LessonSums};
@@ -58,7 +58,8 @@ fn compare(
 ) {
     let described = scene(name);
     let mut compiled = CompiledScene::new(&described);
-    let lanes = ShapeLanes::new(&compiled);
+    let searched = compiled.clone();
+    let search = Search::new(&searched);
     let estimators = options.estimators(&described);
     let mut recorded = RecordedLevel::record(&described, options, 0).unwrap();
     let (mut uniforms, key) = (recorded.uniforms(), *recorded.key());
@@ -70,7 +71,7 @@ fn compare(
         direct_light: estimators.direct_light && !compiled.lights.is_empty(),
         roulette: estimators.roulette,
         guidance: table.as_ref().map(|table| Guidance { mode: estimators.table_mode(), table, sums: &sums }),
-        ..Transport::plain(&compiled, &lanes, &uniforms)
+        ..Transport::plain(&compiled, &search, &uniforms)
     };
     // The H100's sines and cosines: directions up to 9 roundings off.
     let slack = if computes_to_the_letter(&open_gpu()) { 1.0 } else { 2.0 };

@@ -1,0 +1,165 @@
+//! Surfaces of triangles: as given ([`MeshData`]), from code or from a file, and as the renderer takes them ([`Mesh`]).
+
+mod file;
+mod obj;
+mod placement;
+mod ply;
+#[cfg(test)]
+mod tests;
+
+use std::collections::HashSet;
+
+use glam::{DVec3, Vec3};
+
+use super::triangle::{SMALLEST_SQUARE, double_area};
+
+pub(super) use file::of_scene;
+pub use placement::Placement;
+
+/// Coordinates beyond which products of areas would overflow an f32.
+const LARGEST: f64 = 1e9;
+/// Triangles that a scene can number.
+const MOST_TRIANGLES: usize = 1 << 30;
+
+/// Corners and triangles as someone gave them; nothing is checked before a scene takes them in.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct MeshData {
+    /// Corners.
+    pub positions: Vec<DVec3>,
+    /// A normal for each corner, or none at all. Kept, not used yet: surfaces are flat.
+    pub normals: Vec<DVec3>,
+    /// Three numbers of corners each, counterclockwise as seen from the outer side, the one that emits.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// A checked mesh in world units: corners are finite and in the precision in which rays meet them, triangles have areas and
+/// are all different.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mesh {
+    positions: Vec<Vec3>,
+    normals: Vec<Vec3>,
+    triangles: Vec<[u32; 3]>,
+    repairs: Repairs,
+}
+
+/// What was left out of a mesh.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Repairs {
+    /// Triangles without an area that f32 can tell from zero.
+    pub degenerate: usize,
+    /// Triangles with the corners of one before them, in whatever order.
+    pub duplicate: usize,
+}
+
+impl Mesh {
+    /// Checks and repairs. `Err` says what is wrong and the remedy.
+    pub(super) fn new(data: &MeshData) -> Result<Mesh, String> {
+        let positions = positions(&data.positions)?;
+        let normals = normals(&data.normals, positions.len())?;
+        if data.triangles.len() > MOST_TRIANGLES {
+            return Err(format!("has {} triangles; stay within {MOST_TRIANGLES}", data.triangles.len()));
+        }
+        let mut mesh = Mesh { positions, normals, triangles: Vec::new(), repairs: Repairs::default() };
+        mesh.take_in(&data.triangles)?;
+        if mesh.triangles.is_empty() {
+            return Err(match data.triangles.len() {
+                0 => "has no triangles; give it faces of three corners or more".to_owned(),
+                given => format!("has no area: its {given} triangles are points or lines; scale it up"),
+            });
+        }
+        Ok(mesh)
+    }
+
+    /// How many triangles it has.
+    pub fn len(&self) -> usize {
+        self.triangles.len()
+    }
+
+    /// Never true: a mesh has a triangle at least.
+    pub fn is_empty(&self) -> bool {
+        self.triangles.is_empty()
+    }
+
+    /// The corners of each triangle.
+    pub fn triangles(&self) -> impl ExactSizeIterator<Item = [Vec3; 3]> + '_ {
+        self.triangles.iter().map(|triangle| self.corners(triangle))
+    }
+
+    /// The normals given at the corners of each triangle, for smooth shading; nothing if there were none.
+    pub fn normals(&self) -> impl Iterator<Item = [Vec3; 3]> + '_ {
+        let given = (!self.normals.is_empty()).then_some(&self.triangles);
+        given.into_iter().flatten().map(|triangle| triangle.map(|corner| self.normals[corner as usize]))
+    }
+
+    /// The box around all triangles: its least and its greatest corner.
+    pub fn bounds(&self) -> [Vec3; 2] {
+        let corners = || self.triangles().flatten();
+        [corners().fold(Vec3::INFINITY, Vec3::min), corners().fold(Vec3::NEG_INFINITY, Vec3::max)]
+    }
+
+    /// What was left out.
+    pub fn repairs(&self) -> Repairs {
+        self.repairs
+    }
+
+    fn corners(&self, triangle: &[u32; 3]) -> [Vec3; 3] {
+        triangle.map(|corner| self.positions[corner as usize])
+    }
+
+    /// Adds the triangles that can be met, and counts the others.
+    fn take_in(&mut self, triangles: &[[u32; 3]]) -> Result<(), String> {
+        let count = self.positions.len();
+        let mut seen = HashSet::with_capacity(triangles.len());
+        self.triangles.reserve(triangles.len());
+        for (number, triangle) in triangles.iter().enumerate() {
+            if let Some(corner) = triangle.iter().find(|&&corner| corner as usize >= count) {
+                return Err(format!(
+                    "has a triangle (number {number}, from 0) with corner {corner} of {count}; it is damaged, write it anew"
+                ));
+            }
+            let corners = self.corners(triangle);
+            if !has_area(corners) {
+                self.repairs.degenerate += 1;
+            } else if !seen.insert(unordered(corners)) {
+                self.repairs.duplicate += 1;
+            } else {
+                self.triangles.push(*triangle);
+            }
+        }
+        Ok(())
+    }
+}
+
+fn positions(given: &[DVec3]) -> Result<Vec<Vec3>, String> {
+    let check = |(number, position): (usize, &DVec3)| {
+        let problem = match position.abs().max_element() {
+            _ if position.is_nan() => "that is not a number (nan); remove it",
+            largest if largest <= LARGEST => return Ok(position.as_vec3()),
+            f64::INFINITY => "that is infinite; write finite numbers",
+            _ => "beyond ±1e9; scale it down",
+        };
+        Err(format!("has a corner (number {number}, from 0) {problem}"))
+    };
+    given.iter().enumerate().map(check).collect()
+}
+
+/// One for each corner, or none; what is no direction becomes zero, which says that there is none.
+fn normals(given: &[DVec3], corners: usize) -> Result<Vec<Vec3>, String> {
+    if !given.is_empty() && given.len() != corners {
+        return Err(format!("has {} normals for {corners} corners; give one for each, or none", given.len()));
+    }
+    Ok(given.iter().map(|normal| normal.normalize_or_zero().as_vec3()).collect())
+}
+
+/// Whether f32 can tell which way the triangle faces.
+fn has_area([a, b, c]: [Vec3; 3]) -> bool {
+    double_area(a, b, c).length_squared() > SMALLEST_SQUARE
+}
+
+/// The same for triangles with the same corners.
+fn unordered(corners: [Vec3; 3]) -> [[u32; 3]; 3] {
+    // Adding zero makes of -0 the other 0.
+    let mut bits = corners.map(|corner| (corner + 0.0).to_array().map(f32::to_bits));
+    bits.sort_unstable();
+    bits
+}

@@ -1,0 +1,60 @@
+//! OBJ files by `tobj`, which is met in this file only. Their materials are not read: the scene gives one.
+
+use std::io::{BufRead, ErrorKind};
+
+use glam::DVec3;
+use tobj::{LoadError, LoadOptions};
+
+use super::MeshData;
+
+/// All objects of the file as one mesh. `Err` says what is wrong and the remedy.
+pub(super) fn read(mut source: impl BufRead) -> Result<MeshData, String> {
+    // Names of objects may be in any encoding, so what is no UTF-8 is read as if it were.
+    let mut bytes = Vec::new();
+    source.read_to_end(&mut bytes).map_err(|error| format!("can't be read: {error}"))?;
+    let text = String::from_utf8_lossy(&bytes);
+    let options =
+        LoadOptions { triangulate: true, ignore_points: true, ignore_lines: true, ..Default::default() };
+    let no_materials = |_: &std::path::Path| Err(LoadError::OpenFileFailed);
+    let (models, _) = tobj::load_obj_buf(&mut text.as_bytes(), &options, no_materials).map_err(problem)?;
+    let mut data = MeshData::default();
+    for model in models {
+        add(&mut data, &model.mesh)?;
+    }
+    Ok(data)
+}
+
+/// Adds one object. Normals are kept where each corner has one of its own, which few files of several objects keep up.
+fn add(data: &mut MeshData, mesh: &tobj::Mesh) -> Result<(), String> {
+    let vectors = |values: &[f32]| -> Vec<DVec3> {
+        values
+            .as_chunks()
+            .0
+            .iter()
+            .map(|&[x, y, z]: &[f32; 3]| DVec3::new(x.into(), y.into(), z.into()))
+            .collect()
+    };
+    let first =
+        u32::try_from(data.positions.len()).map_err(|_| "has too many corners; split it".to_owned())?;
+    let own_normals = mesh.normals.len() == mesh.positions.len() && mesh.normal_indices == mesh.indices;
+    let all_had_normals = data.normals.len() == data.positions.len();
+    data.positions.extend(vectors(&mesh.positions));
+    match own_normals && all_had_normals {
+        true => data.normals.extend(vectors(&mesh.normals)),
+        false => data.normals.clear(),
+    }
+    // A number beyond 2³² names no corner, which the mesh says.
+    let moved = |&[a, b, c]: &[u32; 3]| [a, b, c].map(|corner| corner.saturating_add(first));
+    data.triangles.extend(mesh.indices.as_chunks().0.iter().map(moved));
+    Ok(())
+}
+
+fn problem(error: LoadError) -> String {
+    match error {
+        LoadError::ReadError => format!("can't be read: {}", ErrorKind::UnexpectedEof),
+        LoadError::FaceVertexOutOfBounds => {
+            "has a face with a corner that it does not have; write it anew".to_owned()
+        }
+        error => format!("is not a valid OBJ file ({error}); write it anew"),
+    }
+}

@@ -1,0 +1,168 @@
+//! PLY files by `ply-rs-bw`, which is met in this file only.
+
+use std::io::BufRead;
+
+use glam::DVec3;
+use ply_rs_bw::parser::{ParseError, Parser, Reader};
+use ply_rs_bw::ply::{
+    ElementDef, Encoding, Header, Property, PropertyAccess, PropertyAccessResult, PropertyType, ScalarType,
+};
+
+use super::MeshData;
+
+/// Reads a mesh of at most `length` bytes. `Err` says what is wrong and the remedy.
+pub(super) fn read(source: impl BufRead, length: u64) -> Result<MeshData, String> {
+    let mut source = Reader::new(source);
+    let header = Parser::<Skipped>::new().read_header(&mut source).map_err(malformed)?;
+    fits(&header, length)?;
+    let mut data = MeshData::default();
+    for (name, element) in &header.elements {
+        match name.as_str() {
+            "vertex" => {
+                let vertices: Vec<Vertex> = elements(&mut source, element, &header)?;
+                data.positions = vertices.iter().map(|vertex| vertex.position).collect();
+                if ["nx", "ny", "nz"].iter().all(|axis| element.properties.contains_key(*axis)) {
+                    data.normals = vertices.iter().map(|vertex| vertex.normal).collect();
+                }
+            }
+            "face" => {
+                let faces: Vec<Face> = elements(&mut source, element, &header)?;
+                data.triangles = faces.iter().flat_map(|face| fan(&face.corners)).collect();
+            }
+            _ => drop::<Vec<Skipped>>(elements(&mut source, element, &header)?),
+        }
+    }
+    Ok(data)
+}
+
+/// All elements of a kind.
+fn elements<E: PropertyAccess>(
+    source: &mut Reader<impl BufRead>,
+    element: &ElementDef,
+    header: &Header,
+) -> Result<Vec<E>, String> {
+    Parser::<E>::new().read_payload_for_element(source, element, header).map_err(malformed)
+}
+
+fn malformed(error: ParseError) -> String {
+    let words = error.to_string();
+    let brief: String = words.lines().next().unwrap_or_default().chars().take(120).collect();
+    format!("is not a whole PLY file ({brief}); write it anew")
+}
+
+#[derive(Default)]
+struct Vertex {
+    position: DVec3,
+    normal: DVec3,
+}
+
+impl PropertyAccess for Vertex {
+    fn new() -> Self {
+        Self::default()
+    }
+
+    fn set_property(&mut self, name: &str, value: Property) -> PropertyAccessResult {
+        let place = match name {
+            "x" => &mut self.position.x,
+            "y" => &mut self.position.y,
+            "z" => &mut self.position.z,
+            "nx" => &mut self.normal.x,
+            "ny" => &mut self.normal.y,
+            "nz" => &mut self.normal.z,
+            _ => return PropertyAccessResult::Ignored,
+        };
+        *place = match value {
+            Property::Char(v) => v.into(),
+            Property::UChar(v) => v.into(),
+            Property::Short(v) => v.into(),
+            Property::UShort(v) => v.into(),
+            Property::Int(v) => v.into(),
+            Property::UInt(v) => v.into(),
+            Property::Float(v) => v.into(),
+            Property::Double(v) => v,
+            _ => return PropertyAccessResult::UnsupportedType,
+        };
+        PropertyAccessResult::Set
+    }
+}
+
+#[derive(Default)]
+struct Face {
+    corners: Vec<u32>,
+}
+
+impl PropertyAccess for Face {
+    fn new() -> Self {
+        Self::default()
+    }
+
+    fn set_property(&mut self, name: &str, value: Property) -> PropertyAccessResult {
+        if !["vertex_indices", "vertex_index"].contains(&name) {
+            return PropertyAccessResult::Ignored;
+        }
+        self.corners = match value {
+            Property::ListChar(list) => numbers(list),
+            Property::ListUChar(list) => numbers(list),
+            Property::ListShort(list) => numbers(list),
+            Property::ListUShort(list) => numbers(list),
+            Property::ListInt(list) => numbers(list),
+            Property::ListUInt(list) => list,
+            _ => return PropertyAccessResult::UnsupportedType,
+        };
+        PropertyAccessResult::Set
+    }
+}
+
+/// Numbers of corners. A negative one becomes one that no mesh has.
+fn numbers<T: TryInto<u32>>(list: Vec<T>) -> Vec<u32> {
+    list.into_iter().map(|number| number.try_into().unwrap_or(u32::MAX)).collect()
+}
+
+/// An element of which nothing is wanted.
+struct Skipped;
+
+impl PropertyAccess for Skipped {
+    fn new() -> Self {
+        Skipped
+    }
+}
+
+/// The triangles of a face, which is taken for convex.
+fn fan(corners: &[u32]) -> impl Iterator<Item = [u32; 3]> + '_ {
+    corners.windows(2).skip(1).map(|pair| [corners[0], pair[0], pair[1]])
+}
+
+/// Refuses headers that promise more than the file can hold: what is read then is bounded by the length of the file.
+fn fits(header: &Header, length: u64) -> Result<(), String> {
+    let needs = |element: &ElementDef| -> u128 {
+        let bytes: u128 = match header.encoding {
+            // A character and a blank or the end of the line, for each value.
+            Encoding::Ascii => 2 * element.properties.len() as u128,
+            _ => element.properties.iter().map(|(_, property)| least_bytes(&property.data_type)).sum(),
+        };
+        element.count as u128 * bytes
+    };
+    let elements = || header.elements.iter().map(|(_, element)| element);
+    if elements().any(|element| element.count > 0 && element.properties.is_empty()) {
+        return Err("has elements without properties; write it anew".to_owned());
+    }
+    let needed: u128 = elements().map(needs).sum();
+    // The last line may lack its end.
+    if needed > u128::from(length) + 1 {
+        return Err(format!(
+            "promises {needed} bytes in its header and has {length}; it is cut short or damaged, write it anew"
+        ));
+    }
+    Ok(())
+}
+
+/// Bytes that a property takes in a binary file at least: a list may be empty.
+fn least_bytes(property: &PropertyType) -> u128 {
+    let (PropertyType::Scalar(scalar) | PropertyType::List(scalar, _)) = property;
+    match scalar {
+        ScalarType::Char | ScalarType::UChar => 1,
+        ScalarType::Short | ScalarType::UShort => 2,
+        ScalarType::Int | ScalarType::UInt | ScalarType::Float => 4,
+        ScalarType::Double => 8,
+    }
+}
