@@ -74,9 +74,10 @@ pub struct AliasTable {
 
 /// How many numbers may be drawn: the multiples of 2⁻²⁴ below 1.
 const DRAWABLE: u32 = 1 << 24;
-/// Entries are drawn at least this much as often as the average one, however light. Rare ones would else be drawn by one
-/// number or by none, whatever they weigh.
+/// Entries are drawn at least this much as often as the average one, however light, and by at least [`LEAST_DRAWS`] numbers, as
+/// long as there are that many. Rare ones would else be drawn by one number or by none, whatever they weigh.
 const LEAST_SHARE: f64 = 1.0 / 4096.0;
+const LEAST_DRAWS: f64 = 16.0;
 
 /// The row of a table of `count` that `u` falls into, and how far into it.
 #[inline(always)]
@@ -130,7 +131,8 @@ impl AliasTable {
 fn split_among_rows(weights: &[f64]) -> Vec<AliasRow> {
     let count = weights.len();
     let average = weights.iter().sum::<f64>() / count as f64;
-    let weights: Vec<f64> = weights.iter().map(|w| w.max(LEAST_SHARE * average)).collect();
+    let least = LEAST_SHARE.max(LEAST_DRAWS * count as f64 / f64::from(DRAWABLE)).min(1.0) * average;
+    let weights: Vec<f64> = weights.iter().map(|w| w.max(least)).collect();
     let total: f64 = weights.iter().sum();
     let mut share: Vec<f64> = weights.iter().map(|w| w / total * count as f64).collect();
     let (mut small, mut large): (Vec<usize>, Vec<usize>) = (0..count).partition(|&i| share[i] < 1.0);

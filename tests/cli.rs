@@ -624,7 +624,7 @@ fn standard_errors_are_found_in_a_file_beside_the_reference() {
     };
     save("bare.exr", &a.rgb);
     let without = place.run(&["compare", "bare.exr", "bare.exr", "--z-test"]);
-    assert_eq!(without.code, Some(1));
+    assert_eq!(without.code, Some(2));
     assert!(without.stderr.contains("can't be made"), "{}", without.stderr);
     save("errors.exr", a.standard_error.as_ref().unwrap());
     let given = ["compare", "bare.exr", "bare.exr", "--z-test", "--stderr-of-b", "errors.exr"];

@@ -117,6 +117,8 @@ def render(given, size):
     import mitsuba_scene
 
     scene = mitsuba_scene.load(mitsuba_scene.read(given.scene), size, given.max_bounces, 1 << 20)
+    if scene.environment() is not None and given.direct_light == "on":
+        raise ValueError("its shadow rays must meet their light, which a sky is not; use --direct-light off")
     register()
     integrator = mi.load_dict({
         "type": "qtracer_tight_path",
@@ -154,7 +156,11 @@ def main():
     camera = mitsuba_scene.read(given.scene)["camera"]
     size = tuple(given.size or (camera["width"], camera["height"]))
     start = time.perf_counter()
-    runs = render(given, size)
+    try:
+        runs = render(given, size)
+    except ValueError as error:
+        print(f"error: {given.scene}: {error}", file=sys.stderr)
+        return 2
     mean, error = runs.mean(axis=0), runs.std(axis=0, ddof=1) / np.sqrt(given.runs)
     given.out.parent.mkdir(parents=True, exist_ok=True)
     for path, values in [(given.out, mean), (given.out.with_suffix(".se.exr"), error)]:

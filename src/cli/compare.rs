@@ -104,6 +104,10 @@ pub fn run(args: &CompareArgs) -> Result<(), Failure> {
     }
     match problems.is_empty() {
         true => Ok(()),
+        // Images that can't answer are bad images, not different ones.
+        false if args.z_test && comparison.z_test_problem.is_some() => {
+            Err(Failure::bad_input(problems.join("\nerror: ")))
+        }
         false => Err(Failure::failed_all(problems)),
     }
 }

@@ -243,9 +243,10 @@ fn lost_samples(stats: &RenderStats) -> Option<String> {
     let (lost, all) = (stats.lost_samples, stats.paths);
     (lost > 0).then(|| {
         format!(
-            "{lost} of {all} samples came out infinite or as no number; they count as black, so the image is too dark where \
-             they fell. Lower colors above 1 and bring sizes and radiances closer together; if they are ordinary ones, this \
-             is a fault of qtracer or of the driver: compare with --engine cpu and report it"
+            "{lost} of {all} samples came out infinite, as no number or above 1e18; they count as black, so the image is too \
+             dark where they fell. Lower colors above 1, raise a --roulette-scale below 1, and bring sizes and radiances \
+             closer together; if they are ordinary ones, this is a fault of qtracer or of the driver: compare with --engine \
+             cpu and report it"
         )
     })
 }
@@ -333,7 +334,7 @@ mod tests {
         assert_eq!(lost(&job), None);
         job.scene.environment.y = f64::NAN;
         let text = lost(&job).unwrap();
-        assert!(text.starts_with("60 of 60 samples came out infinite or as no number"), "{text}");
+        assert!(text.starts_with("60 of 60 samples came out infinite, as no number or above 1e18"), "{text}");
     }
 
     #[test]

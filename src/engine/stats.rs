@@ -20,7 +20,7 @@ pub struct RenderStats {
     pub paths: u64,
     /// Rays traced, shadow rays not included.
     pub rays: u64,
-    /// Samples whose radiance was infinite or no number: they count as black. 0 unless something is wrong.
+    /// Samples whose radiance was infinite, no number or beyond 2⁶⁰: they count as black. 0 unless something is wrong.
     pub lost_samples: u64,
     /// Seconds that the GPU worked, by its own clock; 0 where it has none.
     pub gpu_seconds: f64,

@@ -2,7 +2,8 @@
 
 use glam::Vec3;
 
-/// 2⁶⁰. No sample of a valid scene is so bright, and 32 squares of less are finite in f32.
+/// 2⁶⁰. 32 squares of less are finite in f32. Radiances of scenes end at 1e15, a thousandth of it: only weights of paths get a
+/// sample there, such as colours above 1 or roulette at a small scale.
 pub const BRIGHTEST: f32 = (1u64 << 60) as f32;
 
 /// Whether the film can count the sample: no channel is NaN, infinite or beyond what its square can be. Judged by bits, as on

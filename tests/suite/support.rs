@@ -9,8 +9,10 @@ use qtracer::scene::MeshData;
 use qtracer::transport::estimators::Estimators;
 use qtracer::transport::roulette::Roulette;
 use qtracer::{EngineChoice, Image, RenderOptions, RenderStats, Renderer, Sampler, Scene};
+use std::cell::RefCell;
 use std::collections::HashMap;
 use std::path::PathBuf;
+use std::sync::Once;
 
 /// Every way of rendering: the same transport, so the same image.
 pub const ENGINES: [Engine; 5] = [
@@ -162,7 +164,30 @@ pub fn render_in_steps(
     found
 }
 
+thread_local! {
+    /// What this test rendered, with seeds, the last first.
+    static RENDERED: RefCell<Vec<String>> = const { RefCell::new(Vec::new()) };
+}
+static TELL_SEEDS: Once = Once::new();
+
+/// Notes a render, so that a test which fails says what it rendered with which seed.
+fn note(scene: &Scene, engine: Engine, options: &RenderOptions) {
+    TELL_SEEDS.call_once(|| {
+        let usual = std::panic::take_hook();
+        std::panic::set_hook(Box::new(move |panic| {
+            usual(panic);
+            RENDERED.with_borrow(|all| eprintln!("rendered in this test, last first: {}", all.join(", ")));
+        }));
+    });
+    let what = format!("{} on {engine:?} with seed {}", scene.name, options.seed);
+    RENDERED.with_borrow_mut(|all| {
+        all.insert(0, what);
+        all.truncate(8);
+    });
+}
+
 fn render_any(scene: &Scene, engine: Engine, options: &RenderOptions, spp: u32, step: u32) -> Render {
+    note(scene, engine, options);
     let mut renderer = Renderer::new(scene, engine.with(options)).unwrap_or_else(|e| {
         panic!("{engine:?} on {}: {e}\nGPU tests need an adapter: run tests/run", scene.name)
     });

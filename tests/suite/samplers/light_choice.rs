@@ -130,6 +130,10 @@ fn probabilities_of_large_tables_count_every_number() {
     for (row, counted) in rows.iter().zip(counts) {
         assert_eq!(counted as f32, row.probability * DRAWABLE as f32);
     }
+    // Ten thousand, half of them dark: each is drawn by at least a few numbers.
+    let many: Vec<f64> = (0..10_000).map(|i| if i % 2 == 0 { 1.0 } else { 1e-8 }).collect();
+    let least = AliasTable::new(&many).rows.iter().map(|row| row.probability).fold(1.0, f32::min);
+    assert!(least * 16_777_216.0 >= 8.0, "{least}");
     assert!(AliasTable::new(&[]).rows.is_empty());
 }
 

@@ -95,7 +95,12 @@ pub struct Report {
     /// Items of which the twin says what was found, but of a question a rounding away.
     pub of_two_minds: usize,
     pub faults: Vec<String>,
-    /// The worst distance of the others, and what it is of.
+    /// Items whose distance from the twin's first answer is beyond what plain rounding makes: judged by how far the twin's own
+    /// answers to nearby questions spread.
+    pub by_spread: usize,
+    /// The worst distance from the twin's first answer.
+    pub plain: f64,
+    /// The worst distance as judged, and what it is of.
     pub worst: (f64, &'static str),
 }
 
@@ -116,7 +121,9 @@ impl Report {
         self.items += 1;
         let expected = twin(None);
         let mut distance = found.distance(&expected, &[]);
+        self.plain = self.plain.max(if distance.0.is_finite() { distance.0 } else { 0.0 });
         if distance.0 > bound.min(PLAIN) {
+            self.by_spread += 1;
             let nearby: Vec<Answer> = (0..NEARBY).map(|i| twin(Some(&mut Nudges::new(i)))).collect();
             let spread = expected.spread(&nearby);
             distance = found.distance(&expected, &spread);

@@ -94,8 +94,11 @@ fn all_stages_agree(name: &str, options: &RenderOptions) {
     compare(name, options, &|_, _| (), |level, stage, report| {
         let how = (options.schedule.unwrap(), options.guide.mode);
         let at = format!("{name}, {how:?}, level {level}, {}", stage.name());
-        let Report { items: count, of_two_minds, faults, worst: (worst, part) } = report;
-        println!("{at}: {count} items, {of_two_minds} of two minds, worst {worst:.1} in {part}");
+        let Report { items: count, of_two_minds, faults, by_spread, plain, worst: (worst, part) } = report;
+        println!(
+            "{at}: {count} items, {of_two_minds} of two minds; plainly {plain:.1} off, {by_spread} judged by spread, worst \
+             then {worst:.1} in {part}"
+        );
         assert!(faults.is_empty(), "{at}: {} faults, such as\n{}", faults.len(), faults[0]);
         assert!(of_two_minds * RARELY <= *count + RARELY, "{at}: {of_two_minds} of {count} of two minds");
         *items.entry(stage.name()).or_insert(0) += count;
