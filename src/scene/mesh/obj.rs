@@ -13,6 +13,8 @@ pub(super) fn read(mut source: impl BufRead) -> Result<MeshData, String> {
     let mut bytes = Vec::new();
     source.read_to_end(&mut bytes).map_err(|error| format!("can't be read: {error}"))?;
     let text = String::from_utf8_lossy(&bytes);
+    // A byte order mark would make the first line one that is skipped.
+    let text = text.trim_start_matches('\u{feff}');
     let options =
         LoadOptions { triangulate: true, ignore_points: true, ignore_lines: true, ..Default::default() };
     let no_materials = |_: &std::path::Path| Err(LoadError::OpenFileFailed);

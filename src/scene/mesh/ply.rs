@@ -19,6 +19,9 @@ pub(super) fn read(source: impl BufRead, length: u64) -> Result<MeshData, String
     for (name, element) in &header.elements {
         match name.as_str() {
             "vertex" => {
+                if !["x", "y", "z"].iter().all(|axis| element.properties.contains_key(*axis)) {
+                    return Err("has vertices without x, y and z; write it with all three".to_owned());
+                }
                 let vertices: Vec<Vertex> = elements(&mut source, element, &header)?;
                 data.positions = vertices.iter().map(|vertex| vertex.position).collect();
                 if ["nx", "ny", "nz"].iter().all(|axis| element.properties.contains_key(*axis)) {

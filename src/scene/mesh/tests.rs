@@ -110,6 +110,23 @@ fn every_form_of_a_file_gives_the_same_mesh() {
 }
 
 #[test]
+fn a_byte_order_mark_hides_no_line() {
+    let corners = &OBJ[OBJ.find("v -1").unwrap()..];
+    let read = read(Format::Obj, format!("\u{feff}{corners}").as_bytes()).unwrap();
+    assert_eq!(read.positions.len(), 5);
+    assert_eq!(read.positions[0], DVec3::new(-1.0, 0.0, -1.0));
+}
+
+#[test]
+fn vertices_without_a_coordinate_are_refused() {
+    for axis in ["x", "y", "z"] {
+        let text = PLY.replace(&format!(" {axis}\n"), " w\n");
+        let problem = read(Format::Ply, text.as_bytes()).unwrap_err();
+        assert!(problem.contains("without x, y and z"), "{problem}");
+    }
+}
+
+#[test]
 fn a_mesh_is_scaled_then_turned_then_moved() {
     let data = MeshData {
         positions: vec![DVec3::X, DVec3::Y, DVec3::Z],
