@@ -14,7 +14,7 @@ pub(super) fn read(mut source: impl BufRead) -> Result<MeshData, String> {
     source.read_to_end(&mut bytes).map_err(|error| format!("can't be read: {error}"))?;
     let text = String::from_utf8_lossy(&bytes);
     // A byte order mark would make the first line one that is skipped.
-    let text = text.trim_start_matches('\u{feff}');
+    let text = plain_lines(text.trim_start_matches('\u{feff}'));
     let options =
         LoadOptions { triangulate: true, ignore_points: true, ignore_lines: true, ..Default::default() };
     let no_materials = |_: &std::path::Path| Err(LoadError::OpenFileFailed);
@@ -24,6 +24,17 @@ pub(super) fn read(mut source: impl BufRead) -> Result<MeshData, String> {
         add(&mut data, &model.mesh)?;
     }
     Ok(data)
+}
+
+/// Without comments behind what a line says, and with lines that go on in the next joined to it: tobj takes neither.
+fn plain_lines(text: &str) -> String {
+    let joined = text.replace("\\\r\n", " ").replace("\\\n", " ");
+    let mut plain = String::with_capacity(joined.len());
+    for line in joined.lines() {
+        plain.push_str(line.split('#').next().unwrap_or_default());
+        plain.push('\n');
+    }
+    plain
 }
 
 /// Adds one object. Normals are kept where each corner has one of its own, which few files of several objects keep up.

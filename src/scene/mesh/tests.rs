@@ -118,6 +118,13 @@ fn a_byte_order_mark_hides_no_line() {
 }
 
 #[test]
+fn comments_behind_and_lines_that_go_on_change_nothing() {
+    let plain = read(Format::Obj, OBJ.as_bytes()).unwrap();
+    let odd = OBJ.replace("f 1 2 3 4", "f 1 2 \\\n3 4 # the base").replace("f 1 5 2", "f 1 \\\r\n5 2#side");
+    assert_eq!(read(Format::Obj, odd.as_bytes()), Ok(plain));
+}
+
+#[test]
 fn vertices_without_a_coordinate_are_refused() {
     for axis in ["x", "y", "z"] {
         let text = PLY.replace(&format!(" {axis}\n"), " w\n");
