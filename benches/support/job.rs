@@ -1,5 +1,5 @@
-//! A job is one scene rendered in one way with several seeds, in a process of its own: NVIDIA's driver hands out no adapter any
-//! more after some 35 devices in one process, and what one job leaves behind can't slow down the next.
+//! A job is one scene rendered in one way with several seeds, in a process of its own: what one job leaves behind can't slow
+//! down the next.
 
 use super::engines::Way;
 use super::machine;
