@@ -19,8 +19,9 @@ def read(path):
     return json.loads(text) if str(path).endswith(".json") else tomllib.loads(text)
 
 
-def load(description, size, max_depth, roulette_depth):
-    """Mitsuba's scene: its path integrator (direct light and MIS), a box filter of one pixel, independent samples."""
+def load(description, folder, size, max_depth, roulette_depth):
+    """Mitsuba's scene: its path integrator (direct light and MIS), a box filter of one pixel, independent samples. Files that
+    the description names lie in `folder`."""
     scene = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": max_depth, "rr_depth": roulette_depth},
@@ -32,7 +33,7 @@ def load(description, size, max_depth, roulette_depth):
     materials = description.get("materials", {})
     for name, material in materials.items():
         scene[f"material_{name}"] = {**_material(material), "id": f"material_{name}"}
-    for i, (material, shape) in enumerate(_shapes(description)):
+    for i, (material, shape) in enumerate(_shapes(description, folder)):
         shape["bsdf"] = {"type": "ref", "id": f"material_{material}"}
         emission = materials[material].get("emission", [0, 0, 0])
         if max(emission) > 0:
@@ -95,7 +96,7 @@ def _material(material):
     raise ValueError(f"unknown material type {kind}")
 
 
-def _shapes(description):
+def _shapes(description, folder):
     """(material, shape without it); boxes become six quads, outward."""
     for shape in description.get("shapes", []):
         kind = shape["type"]
@@ -108,8 +109,18 @@ def _shapes(description):
         elif kind == "box":
             for side in _box(shape):
                 yield shape["material"], _quad(*side)
+        elif kind == "mesh":
+            yield shape["material"], _mesh(shape, folder)
         else:
             raise ValueError(f"unknown shape type {kind}")
+
+
+def _mesh(shape, folder):
+    """A mesh of a PLY or OBJ file with flat facets: scaled, then turned, then moved."""
+    path = Path(folder) / shape["file"]
+    place = mi.ScalarTransform4f().translate(shape.get("translate", [0, 0, 0]))
+    place = place.rotate([0, 1, 0], shape.get("rotate_y_deg", 0.0)).scale(shape.get("scale", 1.0))
+    return {"type": path.suffix[1:].lower(), "filename": str(path), "face_normals": True, "to_world": place}
 
 
 def _quad(corner, e1, e2):

@@ -2,7 +2,9 @@
 //! hierarchy over them finds what asking all finds; a furnace of many is the analytic one.
 
 use crate::furnace::{closed_form, mean_and_relative_error};
+use crate::oracles::geometry::ROUNDING;
 use crate::probe::{Input, Numbers, Probe, floats, row};
+use crate::shapes::hierarchy::UNLIKE_ON_HARDWARE;
 use crate::support::*;
 use glam::{DVec3, Vec3};
 use qtracer::gpu::device::Gpu;
@@ -220,11 +222,69 @@ fn by_asking_all(scene: &CompiledScene, question: &[Row; 2]) -> [Row; 1] {
     [[nearest.to_bits(), shape.map_or(NONE, |shape| shape as u32), u32::from(dark), 0]]
 }
 
+/// Where a line meets the plane of a triangle, in f64; how far within the triangle that is, below 0 outside; and by how much f32
+/// may be off in both: sixteen roundings, more for slivers and where the line grazes.
+struct Meeting {
+    t: f64,
+    within: f64,
+    slack: f64,
+}
+
+fn meeting(ray: Ray, triangle: &Triangle) -> Meeting {
+    let [a, b, c] = [triangle.a, triangle.b, triangle.c].map(|v| v.as_dvec3());
+    let (origin, direction) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
+    let normal = (b - a).cross(c - a).normalize();
+    let cosine = normal.dot(direction);
+    let t = normal.dot(a - origin) / cosine;
+    let p = origin + direction * t;
+    let inside = |from: DVec3, to: DVec3| (to - from).normalize().cross(p - from).dot(normal);
+    let within = inside(a, b).min(inside(b, c)).min(inside(c, a));
+    let sine = (b - a).normalize().cross((c - a).normalize()).length();
+    let size = (origin - a).length() + t.abs();
+    Meeting { t, within, slack: 16.0 * ROUNDING * size / (cosine.abs() * sine) }
+}
+
+/// What may be found where products are fused: a shape that is met, or passed within rounding, no farther than all that is met for
+/// sure; and darkness likewise. Spheres and quads are as the CPU meets them.
+fn permitted(scene: &CompiledScene, question: &[Row; 2], found: &Row) -> bool {
+    let (ray, t_max, excluded) = ray_of(question);
+    let exact = distances(scene, ray);
+    let first = scene.spheres.len() + scene.quads.len();
+    // The least and the greatest distance at which each shape may be found; both T_MISS where it can't be.
+    let ranges: Vec<[f64; 2]> = (0..scene.shape_count())
+        .map(|shape| {
+            let t = f64::from(exact[shape]);
+            let Some(triangle) = shape.checked_sub(first) else {
+                let slack = 16.0 * ROUNDING * (t + f64::from(ray.origin.length()) + 20.0);
+                return if exact[shape] < T_MISS { [t - slack, t + slack] } else { [f64::MAX; 2] };
+            };
+            let Meeting { t, within, slack } = meeting(ray, &scene.triangles[triangle]);
+            let farthest = if within > slack && t > slack { t + slack } else { f64::MAX };
+            if within < -slack || t < -slack { [f64::MAX; 2] } else { [t - slack, farthest] }
+        })
+        .collect();
+    let (t, shape) = (f64::from(f32::from_bits(found[0])), found[1]);
+    let surely = ranges.iter().map(|range| range[1]).fold(f64::MAX, f64::min);
+    let right = match shape {
+        NONE => surely == f64::MAX,
+        _ => ranges[shape as usize][0] <= t && t <= surely,
+    };
+    let darkest = |end: usize| {
+        let others = ranges.iter().enumerate().filter(|(shape, _)| *shape as u32 != excluded);
+        others.map(|(_, range)| range[end]).fold(f64::MAX, f64::min)
+    };
+    let t_max = f64::from(t_max);
+    right && if found[2] != 0 { darkest(0) < t_max } else { darkest(1) >= t_max }
+}
+
+/// Rays for each scene.
+const RAYS: usize = 1 << 13;
+
 /// How many rays the walk answers otherwise than asking all: on the CPU, and on the GPU; how many hit something.
 fn differing_from_asking_all(gpu: &Gpu, seed: u64, change: impl Fn(&mut CompiledScene)) -> [usize; 3] {
     let mut numbers = Numbers(seed);
     let mut scene = debris(&mut numbers);
-    let questions: Vec<_> = (0..1 << 13).map(|_| ray_through(&mut numbers, &scene)).collect();
+    let questions: Vec<_> = (0..RAYS).map(|_| ray_through(&mut numbers, &scene)).collect();
     let by_all: Vec<[Row; 1]> = questions.iter().map(|question| by_asking_all(&scene, question)).collect();
     change(&mut scene);
     let on_gpu: Vec<[Row; 1]> = ask(gpu, WALK, &scene, &questions);
@@ -233,7 +293,12 @@ fn differing_from_asking_all(gpu: &Gpu, seed: u64, change: impl Fn(&mut Compiled
         cpu_differs += usize::from(walk(&scene, question) != [*all]);
         // The kernels refine distances to spheres later.
         let sphere = (all[1] as usize) < scene.spheres.len();
-        gpu_differs += usize::from(all[1..] != found[1..] || (all[0] != found[0] && !sphere));
+        let same = all[1..] == found[1..] && (all[0] == found[0] || sphere);
+        gpu_differs += usize::from(if computes_to_the_letter(gpu) {
+            !same
+        } else {
+            !permitted(&scene, question, found)
+        });
     }
     [cpu_differs, gpu_differs, by_all.iter().filter(|[row]| row[1] != NONE).count()]
 }
@@ -241,11 +306,16 @@ fn differing_from_asking_all(gpu: &Gpu, seed: u64, change: impl Fn(&mut Compiled
 #[test]
 fn the_hierarchy_over_triangles_finds_what_asking_all_finds() {
     let gpu = open_gpu();
+    let mut differ = 0;
     for seed in 800..808 {
         let [on_cpu, on_gpu, hits] = differing_from_asking_all(&gpu, seed, |_| ());
         assert!(hits > 800, "seed {seed}: {hits} hits");
-        assert_eq!([on_cpu, on_gpu], [0, 0], "seed {seed}");
+        assert_eq!(on_cpu, 0, "seed {seed}");
+        differ += on_gpu;
     }
+    println!("{differ} of {} rays answered otherwise on the adapter", 8 * RAYS);
+    let share = if computes_to_the_letter(&gpu) { 0.0 } else { UNLIKE_ON_HARDWARE };
+    assert!(differ as f64 <= share * (8 * RAYS) as f64, "{differ}");
     // Negative control: boxes that end one per cent too early.
     let cut = |scene: &mut CompiledScene| {
         for rows in scene.bvh.as_mut().unwrap().rows.chunks_mut(2) {
@@ -296,7 +366,7 @@ fn bounce(numbers: &mut Numbers, scene: &CompiledScene, i: usize) -> Option<[Row
 #[test]
 fn rays_that_leave_a_triangle_never_meet_it() {
     let gpu = open_gpu();
-    let (mut worst, mut asked, mut left_out) = (0.0f64, 0, 0);
+    let (mut worst, mut apart, mut asked, mut left_out) = (0.0f64, 0.0f32, 0, 0);
     for seed in 900..904 {
         let mut numbers = Numbers(seed);
         let scene = debris(&mut numbers);
@@ -322,16 +392,30 @@ fn rays_that_leave_a_triangle_never_meet_it() {
             }
             assert_eq!(t, T_MISS, "seed {seed}: {triangle:?} met again at {t} by {question:?}");
             let on_cpu = twin(&scene, question);
-            assert_eq!((on_cpu.0, on_cpu.1), (position, T_MISS), "seed {seed}: the twin differs");
+            assert_eq!(on_cpu.1, T_MISS, "seed {seed}: met again on the CPU");
+            apart = apart.max(on_cpu.0.distance(position) / rounding_of(triangle, question));
         }
         asked += answers.len();
     }
     println!(
         "{asked} points, off their planes by up to {worst:.3} of the offset ({RELATIVE_OFFSET:e} relative)"
     );
-    println!("{left_out} rays graze by less than their normal is right to");
+    println!(
+        "{left_out} rays graze by less than their normal is right to; twins' points up to {apart} roundings apart"
+    );
+    assert!(
+        apart <= if computes_to_the_letter(&gpu) { 0.0 } else { 8.0 },
+        "twins differ by {apart} roundings"
+    );
     assert!(asked > 50_000 && worst < 0.25, "{asked}: {worst}");
     assert!(left_out < asked / 50, "{left_out} of {asked}");
+}
+
+/// By how much a hit point on that triangle is rounded: as its distance from the ray's origin is, more on slivers.
+fn rounding_of(triangle: &Triangle, [origin, direction, _]: &[Row; 3]) -> f32 {
+    let sine = (triangle.b - triangle.a).normalize().cross((triangle.c - triangle.a).normalize()).length();
+    let ((origin, _), (_, t)) = (floats(*origin), floats(*direction));
+    ROUNDING as f32 * (origin.length() + t) / sine
 }
 
 /// Position and distance after leaving, on the CPU.

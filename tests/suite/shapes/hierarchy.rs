@@ -247,7 +247,7 @@ fn the_hierarchy_finds_what_asking_all_finds_to_the_bit() {
 
 /// Share of rays that may meet another shape, or nothing, where what is fused decides: those that start in a surface, and those
 /// within rounding of an edge. On an H100 1.4e-4 of 1.6 million, 1.1e-4 of 16 million.
-const UNLIKE_ON_HARDWARE: f64 = 3e-4;
+pub(crate) const UNLIKE_ON_HARDWARE: f64 = 3e-4;
 
 /// One in a million may differ: from thousands of scene sizes away quads are now and then met where a ray passes beside their
 /// box. docs/ACCURACY.md

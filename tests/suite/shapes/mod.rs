@@ -2,7 +2,7 @@
 //! against geometry in f64. `cargo test … -- --nocapture` shows the worst errors measured, which docs/ACCURACY.md lists.
 
 mod edges;
-mod hierarchy;
+pub mod hierarchy;
 mod leaving;
 mod quads;
 mod rectangles;
