@@ -16,10 +16,10 @@ Examples:
       What is in it, or what is wrong with it and where.
   qtracer check scenes/*.toml > /dev/null && echo all good
       Exits 2 if any scene is bad; every problem is named on stderr.
-  qtracer check room.json
-      JSON has the same keys as TOML.")]
+  qtracer check room.json model.glb
+      JSON has the same keys as TOML; a model is a scene by itself.")]
 pub struct CheckArgs {
-    /// Scene files (.toml or .json)
+    /// Scene files (.toml or .json) or models (.glb, .gltf, .ply or .obj)
     #[arg(required = true, value_name = "SCENE")]
     scenes: Vec<PathBuf>,
 }

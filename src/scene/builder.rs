@@ -75,6 +75,7 @@ impl Scene {
             materials: Vec::new(),
             shapes: Vec::new(),
             defaults: Defaults::default(),
+            file_warnings: Vec::new(),
         };
         SceneBuilder { scene, has_camera: false, shapes: Vec::new() }
     }

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::sync::Arc;
 
 use glam::DVec3;
 
@@ -10,9 +9,10 @@ use super::boxes::box_quads;
 use super::document::{Node, Value};
 use super::error::{Fault, SceneError, quoted, suggestion};
 use super::fields::Fields;
-use super::mesh;
+use super::mesh::file::of_scene;
+use super::model::{self, Model};
 use super::validate::{self, material_label, shape_label};
-use super::{Camera, Defaults, Geometry, Material, MaterialKind, Mesh, Placement, Scene, Shape};
+use super::{Camera, Defaults, Geometry, Material, MaterialKind, Placement, Scene, SceneWarning, Shape};
 
 const TOP_KEYS: [&str; 7] = ["name", "description", "camera", "environment", "render", "materials", "shapes"];
 const MATERIAL_TYPES: [&str; 4] = ["diffuse", "mirror", "glossy", "dielectric"];
@@ -25,17 +25,21 @@ pub(super) type MaterialNames = BTreeMap<String, usize>;
 pub(super) fn scene(root: &Node, folder: Option<&Path>) -> Result<Scene, SceneError> {
     let top = Fields::of(root).map_err(|fault| fault.of("scene", root.line))?;
     let (name, description) = heading(&top).map_err(|fault| fault.of("scene", root.line))?;
-    let materials = materials(top.node("materials"))?;
+    let mut materials = materials(top.node("materials"))?;
     let names =
         materials.iter().enumerate().map(|(index, material)| (material.name.clone(), index)).collect();
+    let mut models = Models { names, folder, materials: &mut materials, warnings: Vec::new() };
+    let shapes = shapes(top.node("shapes"), &mut models)?;
+    let file_warnings = models.warnings;
     let scene = Scene {
         name,
         description,
         camera: section(&top, "camera", camera)?.ok_or_else(no_camera)?,
         environment: section(&top, "environment", environment)?.unwrap_or(DVec3::ZERO),
-        shapes: shapes(top.node("shapes"), &names, folder)?,
+        shapes,
         defaults: section(&top, "render", render)?.unwrap_or_default(),
         materials,
+        file_warnings,
     };
     scene.validate()?;
     Ok(scene)
@@ -151,11 +155,16 @@ fn material_kind(fields: &Fields<'_>) -> Result<MaterialKind, Fault> {
     }
 }
 
-fn shapes(
-    node: Option<&Node>,
-    names: &MaterialNames,
-    folder: Option<&Path>,
-) -> Result<Vec<Shape>, SceneError> {
+/// What shapes are read with, and what those from files add to.
+struct Models<'a> {
+    /// Of the scene's own materials.
+    names: MaterialNames,
+    folder: Option<&'a Path>,
+    materials: &'a mut Vec<Material>,
+    warnings: Vec<SceneWarning>,
+}
+
+fn shapes(node: Option<&Node>, models: &mut Models<'_>) -> Result<Vec<Shape>, SceneError> {
     let Some(node) = node else {
         return Ok(Vec::new());
     };
@@ -165,7 +174,7 @@ fn shapes(
     };
     let mut shapes = Vec::with_capacity(list.len());
     for (index, node) in list.iter().enumerate() {
-        let sides = shape(node, names, folder)
+        let sides = shape(node, models)
             .map_err(|fault| fault.of(&shape_label(index, shape_name(node)), node.line))?;
         shapes.extend(sides);
     }
@@ -183,19 +192,26 @@ fn shape_name(node: &Node) -> Option<&str> {
     }
 }
 
-fn shape(node: &Node, names: &MaterialNames, folder: Option<&Path>) -> Result<Vec<Shape>, Fault> {
+fn shape(node: &Node, models: &mut Models<'_>) -> Result<Vec<Shape>, Fault> {
     let fields = Fields::of(node)?;
-    let sides = geometry(&fields, folder)?;
+    let kind: String = fields.need("type")?;
+    if kind == "mesh" {
+        return meshed(&fields, models);
+    }
+    let sides = geometry(&fields, &kind)?;
     let name: Option<String> = fields.get("name")?;
-    let wanted: String = fields.need("material")?;
-    let line = fields.node("material").and_then(|node| node.line);
-    let material = material_index(&wanted, names).map_err(|problem| Fault::new(line, problem))?;
+    let material = own_material(&fields, &models.names)?;
     Ok(sides.into_iter().map(|geometry| Shape { name: name.clone(), material, geometry }).collect())
 }
 
-fn geometry(fields: &Fields<'_>, folder: Option<&Path>) -> Result<Vec<Geometry>, Fault> {
-    let kind: String = fields.need("type")?;
-    let geometry = match kind.as_str() {
+fn own_material(fields: &Fields<'_>, names: &MaterialNames) -> Result<usize, Fault> {
+    let wanted: String = fields.need("material")?;
+    let line = fields.node("material").and_then(|node| node.line);
+    material_index(&wanted, names).map_err(|problem| Fault::new(line, problem))
+}
+
+fn geometry(fields: &Fields<'_>, kind: &str) -> Result<Vec<Geometry>, Fault> {
+    let geometry = match kind {
         "sphere" => {
             fields.only(&["type", "name", "material", "center", "radius", "inward"])?;
             let inward = fields.get("inward")?.unwrap_or(false);
@@ -206,7 +222,6 @@ fn geometry(fields: &Fields<'_>, folder: Option<&Path>) -> Result<Vec<Geometry>,
             Geometry::Quad { corner: fields.need("corner")?, e1: fields.need("e1")?, e2: fields.need("e2")? }
         }
         "box" => return boxed(fields),
-        "mesh" => return Ok(vec![meshed(fields, folder)?]),
         other => return Err(unknown_type(fields, other, &SHAPE_TYPES)),
     };
     validate::geometry(&geometry).map_err(|problem| fields.broken(problem))?;
@@ -221,7 +236,7 @@ fn boxed(fields: &Fields<'_>) -> Result<Vec<Geometry>, Fault> {
     Ok(box_quads(center, size, rotate_y_deg).to_vec())
 }
 
-fn meshed(fields: &Fields<'_>, folder: Option<&Path>) -> Result<Geometry, Fault> {
+fn meshed(fields: &Fields<'_>, models: &mut Models<'_>) -> Result<Vec<Shape>, Fault> {
     fields.only(&["type", "name", "material", "file", "scale", "rotate_y_deg", "translate"])?;
     let usual = Placement::default();
     let placement = Placement {
@@ -231,10 +246,41 @@ fn meshed(fields: &Fields<'_>, folder: Option<&Path>) -> Result<Geometry, Fault>
     };
     validate::placement(&placement).map_err(|problem| fields.broken(problem))?;
     let file: String = fields.need("file")?;
-    let data = mesh::of_scene(&file, folder).map_err(|problem| fields.broken(problem))?;
-    let mesh = Mesh::new(&data.placed(&placement))
-        .map_err(|problem| fields.broken(format!("file {} {problem}", quoted(&file))))?;
-    Ok(Geometry::Mesh(Arc::new(mesh)))
+    let path = of_scene(&file, models.folder).map_err(|problem| fields.broken(problem))?;
+    let name: Option<String> = fields.get("name")?;
+    let own = fields.node("material").is_none() && model::has_materials(&path);
+    let material = if own { None } else { Some(own_material(fields, &models.names)?) };
+    let broken = |problem| fields.broken(format!("file {} {problem}", quoted(&file)));
+    let mut model = Model::load(&path).map_err(broken)?;
+    let mut shapes = model.place(&placement).map_err(broken)?;
+    if shapes.is_empty() {
+        return Err(broken(model::NOTHING_TO_SHOW.to_owned()));
+    }
+    models.warnings.extend(model.placed_warnings(&file));
+    let first = models.materials.len();
+    for shape in &mut shapes {
+        shape.material = material.unwrap_or(first + shape.material);
+        shape.name = name.clone().or(shape.name.take());
+    }
+    if own {
+        models.add(&file, model.materials);
+    }
+    Ok(shapes)
+}
+
+impl Models<'_> {
+    /// Adds the materials of a file under names that no other has.
+    fn add(&mut self, file: &str, materials: Vec<Material>) {
+        let place = self.materials.len();
+        let named = |material: Material| {
+            let name = format!("{file}: {}", material.name);
+            let taken = self.materials.iter().any(|other| other.name == name);
+            // The file has been read before.
+            Material { name: if taken { format!("{name} [{place}]") } else { name }, ..material }
+        };
+        let materials: Vec<Material> = materials.into_iter().map(named).collect();
+        self.materials.extend(materials);
+    }
 }
 
 /// The index of a material, or which name may have been meant.

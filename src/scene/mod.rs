@@ -36,12 +36,14 @@
 //! rotate_y_deg = 30
 //! material = "white"
 //! [[shapes]]
-//! type = "mesh"               # triangles of a .ply or .obj file beside the scene
+//! type = "mesh"               # triangles of a .ply, .obj, .gltf or .glb file beside the scene
 //! file = "meshes/blob.ply"
 //! scale = 0.5                 # default 1, then rotate_y_deg, then translate
 //! translate = [0, 1, 0]
-//! material = "white"
+//! material = "white"          # may be left out for .gltf and .glb, which have materials of their own
 //! ```
+//!
+//! A .gltf, .glb, .ply or .obj file is a scene by itself, too: see [`Scene::load`].
 
 mod boxes;
 pub mod bvh;
@@ -50,6 +52,7 @@ pub mod camera;
 mod coincidence;
 pub mod compiled;
 mod mesh;
+mod model;
 pub mod rows;
 pub mod shapes;
 pub mod triangle;
@@ -93,6 +96,8 @@ pub struct Scene {
     pub shapes: Vec<Shape>,
     /// How it should be rendered unless asked otherwise.
     pub defaults: Defaults,
+    /// What was repaired, left out or chosen when files of models were read; [`warnings`](Self::warnings) tells it too.
+    pub file_warnings: Vec<SceneWarning>,
 }
 
 /// A pinhole camera. A pixel's samples cover exactly that pixel; row 0 is the top.

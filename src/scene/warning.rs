@@ -28,12 +28,21 @@ pub enum SceneWarning {
         /// The shape in whose surface it lies.
         other: String,
     },
-    /// Triangles that were left out of a mesh.
+    /// Triangles that were left out of meshes.
     MeshRepaired {
-        /// The mesh, as errors call it.
+        /// The first such mesh, as errors call it.
         mesh: String,
-        /// How many of which kind.
+        /// How many of which kind, in all meshes.
         repairs: Repairs,
+        /// How many other meshes there are.
+        others: usize,
+    },
+    /// Something in a file of a model that was repaired, left out or chosen.
+    InFile {
+        /// Its name.
+        file: String,
+        /// Where in it, what was done, and the remedy.
+        problem: String,
     },
     /// Shapes are so small, so far from the origin, that rays leave them at a distance that matters.
     BelowResolution {
@@ -66,11 +75,15 @@ impl fmt::Display for SceneWarning {
                 "{lamp} lies in the surface of {other}, so rounding decides which of the two a ray meets; move the lamp \
                  off it a little, to the side that it lights"
             ),
-            Self::MeshRepaired { mesh, repairs: Repairs { degenerate, duplicate } } => write!(
-                f,
-                "{mesh}: left out {degenerate} triangles without area and {duplicate} that repeat another; clean the mesh \
-                 to be rid of this"
-            ),
+            Self::MeshRepaired { mesh, repairs: Repairs { degenerate, duplicate }, others } => {
+                let more = if *others > 0 { format!(" (and {others} more)") } else { String::new() };
+                write!(
+                    f,
+                    "{mesh}{more}: left out {degenerate} triangles without area and {duplicate} that repeat another; clean \
+                     the mesh to be rid of this"
+                )
+            }
+            Self::InFile { file, problem } => write!(f, "{file}: {problem}"),
             Self::BelowResolution { shape, size, offset, others } => {
                 let more = if *others > 0 { format!(" (and {others} more)") } else { String::new() };
                 write!(
@@ -86,7 +99,7 @@ impl fmt::Display for SceneWarning {
 impl Scene {
     /// What is odd about this scene; empty for most.
     pub fn warnings(&self) -> Vec<SceneWarning> {
-        let mut warnings = Vec::new();
+        let mut warnings = self.file_warnings.clone();
         if !self.has_light() {
             warnings.push(SceneWarning::NoLight);
         }
@@ -97,14 +110,18 @@ impl Scene {
         warnings
     }
 
-    /// One warning for each mesh that has lost triangles.
-    fn repaired_meshes(&self) -> impl Iterator<Item = SceneWarning> + '_ {
-        self.shapes.iter().enumerate().filter_map(|(index, shape)| {
+    /// One warning for all meshes that have lost triangles.
+    fn repaired_meshes(&self) -> Option<SceneWarning> {
+        let repaired = self.shapes.iter().enumerate().filter_map(|(index, shape)| {
             let Geometry::Mesh(mesh) = &shape.geometry else { return None };
-            let (repairs, name) = (mesh.repairs(), shape.name.as_deref());
-            (repairs != Repairs::default())
-                .then(|| SceneWarning::MeshRepaired { mesh: shape_label(index, name), repairs })
-        })
+            (mesh.repairs() != Repairs::default()).then(|| (index, mesh.repairs()))
+        });
+        let repaired: Vec<(usize, Repairs)> = repaired.collect();
+        let &(first, _) = repaired.first()?;
+        let sum = |of: fn(&Repairs) -> usize| repaired.iter().map(|(_, repairs)| of(repairs)).sum();
+        let repairs = Repairs { degenerate: sum(|r| r.degenerate), duplicate: sum(|r| r.duplicate) };
+        let mesh = shape_label(first, self.shapes[first].name.as_deref());
+        Some(SceneWarning::MeshRepaired { mesh, repairs, others: repaired.len() - 1 })
     }
 
     /// One warning for all shapes that are too small where they are.

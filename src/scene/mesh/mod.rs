@@ -1,6 +1,6 @@
 //! Surfaces of triangles: as given ([`MeshData`]), from code or from a file, and as the renderer takes them ([`Mesh`]).
 
-mod file;
+pub(super) mod file;
 mod obj;
 mod placement;
 mod ply;
@@ -13,7 +13,6 @@ use glam::{DVec3, Vec3};
 
 use super::triangle::{SMALLEST_SQUARE, double_area};
 
-pub(super) use file::of_scene;
 pub use placement::Placement;
 
 /// Coordinates beyond which products of areas would overflow an f32.
