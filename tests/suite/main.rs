@@ -20,6 +20,7 @@ mod guiding_renders;
 mod guiding_samplers;
 mod kernels;
 mod lost_samples;
+mod models;
 mod oracles;
 mod placement;
 mod probe;

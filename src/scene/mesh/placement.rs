@@ -37,6 +37,9 @@ impl MeshData {
     /// stay at right angles to surfaces (they go by the cofactors) and outside too.
     #[must_use]
     pub(in crate::scene) fn transformed(&self, map: &DAffine3) -> MeshData {
+        if *map == DAffine3::IDENTITY {
+            return self.clone();
+        }
         let [x, y, z] = [map.matrix3.x_axis, map.matrix3.y_axis, map.matrix3.z_axis];
         let mirrors = x.cross(y).dot(z) < 0.0;
         let side = if mirrors { -1.0 } else { 1.0 };

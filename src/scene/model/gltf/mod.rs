@@ -8,8 +8,6 @@ mod lights;
 mod material;
 mod nodes;
 mod primitive;
-#[cfg(test)]
-mod tests;
 
 use std::collections::HashMap;
 use std::path::Path;

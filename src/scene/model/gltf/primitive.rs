@@ -111,6 +111,12 @@ impl Faces<'_> {
             corners.used.iter().map(|&row| DVec3::from_array(rows.row(row as usize))).collect()
         };
         data.positions = vectors(&self.positions);
+        if let Some(number) = data.positions.iter().position(|position| !position.is_finite()) {
+            let corner = corners.used[number];
+            return Err(format!(
+                "has a corner (number {corner}, from 0) that is infinite or not a number (nan); remove it"
+            ));
+        }
         data.normals = self.normals.as_ref().map(vectors).unwrap_or_default();
         Ok(data)
     }
