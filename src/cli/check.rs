@@ -91,10 +91,14 @@ fn kinds(scene: &Scene) -> String {
         MaterialKind::Mirror { .. } => 1,
         MaterialKind::Glossy { .. } => 2,
         MaterialKind::Dielectric { .. } => 3,
+        MaterialKind::Metal { .. } => 4,
+        MaterialKind::MetallicRoughness { .. } => 5,
+        MaterialKind::RoughDielectric { .. } => 6,
     };
     let mut counts = [0; KIND_NAMES.len()];
     scene.materials.iter().for_each(|m| counts[number(&m.kind)] += 1);
     let present = counts.iter().zip(KIND_NAMES).filter(|(count, _)| **count > 0);
-    let words: Vec<String> = present.map(|(count, name)| format!("{count} {name}")).collect();
+    let words: Vec<String> =
+        present.map(|(count, name)| format!("{count} {}", name.replace('_', "-"))).collect();
     words.join(", ")
 }

@@ -4,14 +4,16 @@
 use crate::guiding::GuideMode;
 use crate::random::Sampler;
 use crate::scene::compiled::{
-    CompiledScene, KIND_DIELECTRIC, KIND_DIFFUSE, KIND_GLOSSY, KIND_MIRROR, KINDS, ShapeIndex,
+    CompiledScene, KIND_DIELECTRIC, KIND_DIFFUSE, KIND_GLOSSY, KIND_METAL, KIND_METALLIC_ROUGHNESS,
+    KIND_MIRROR, KIND_ROUGH_DIELECTRIC, KINDS, ShapeIndex,
 };
 use crate::transport::estimators::Estimators;
 use crate::transport::roulette::Roulette;
 use std::fmt;
 
 /// Names of the material kinds, by number.
-pub const KIND_NAMES: [&str; KINDS] = ["diffuse", "mirror", "glossy", "dielectric"];
+pub const KIND_NAMES: [&str; KINDS] =
+    ["diffuse", "mirror", "glossy", "dielectric", "metal", "metallic_roughness", "rough_dielectric"];
 
 /// What the linked kernels must be able to do. Equal keys link equal kernels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -113,6 +115,10 @@ impl KernelKey {
             ("mirror", self.kinds[KIND_MIRROR as usize]),
             ("glossy", self.kinds[KIND_GLOSSY as usize]),
             ("dielectric", self.kinds[KIND_DIELECTRIC as usize]),
+            ("metal", self.kinds[KIND_METAL as usize]),
+            ("metallic_roughness", self.kinds[KIND_METALLIC_ROUGHNESS as usize]),
+            ("rough_dielectric", self.kinds[KIND_ROUGH_DIELECTRIC as usize]),
+            ("microfacets", self.kinds[KIND_METAL as usize..].contains(&true)),
             ("non_delta", non_delta(&self.kinds)),
             ("environment", self.environment),
             ("direct_light", self.direct_light),

@@ -14,8 +14,14 @@ pub const KIND_DIFFUSE: u32 = 0;
 pub const KIND_MIRROR: u32 = 1;
 pub const KIND_GLOSSY: u32 = 2;
 pub const KIND_DIELECTRIC: u32 = 3;
+pub const KIND_METAL: u32 = 4;
+pub const KIND_METALLIC_ROUGHNESS: u32 = 5;
+pub const KIND_ROUGH_DIELECTRIC: u32 = 6;
 /// How many kinds there are.
-pub const KINDS: usize = 4;
+pub const KINDS: usize = 7;
+/// The least α of GGX; smoother surfaces are taken for this smooth, a roughness of 0.032. The lobe of a smaller one is narrower
+/// than f32 directions can tell to a thousandth.
+pub const LEAST_ALPHA: f32 = 1e-3;
 /// "No light", where an index is expected.
 pub const NONE: u32 = u32::MAX;
 
@@ -107,8 +113,14 @@ gpu_struct! {
         kind: u32,
         /// Radiance leaving the outer side.
         emission: Vec3,
-        /// Mirror: level. Glossy: exponent. Dielectric: index of refraction.
+        /// Mirror: level. Glossy: exponent. Dielectrics: index of refraction.
         parameter: f32,
+        /// Of what has microfacets, 0 to 1; kernels read this row of their scenes only.
+        roughness: f32,
+        /// Metallic-roughness: 0, a coat over a diffuse base, to 1, metal.
+        metallic: f32,
+        _pad0: u32,
+        _pad1: u32,
     }
     /// An emitting shape, and its row of the alias table by power.
     pub struct Light {
@@ -360,12 +372,22 @@ fn compile_material(material: &super::Material) -> Material {
         MaterialKind::Mirror { color, level } => (KIND_MIRROR, color, level),
         MaterialKind::Glossy { color, exponent } => (KIND_GLOSSY, color, exponent),
         MaterialKind::Dielectric { tint, ior } => (KIND_DIELECTRIC, tint, ior),
+        MaterialKind::Metal { color, .. } => (KIND_METAL, color, 0.0),
+        MaterialKind::MetallicRoughness { color, .. } => (KIND_METALLIC_ROUGHNESS, color, 0.0),
+        MaterialKind::RoughDielectric { tint, ior, .. } => (KIND_ROUGH_DIELECTRIC, tint, ior),
+    };
+    let metallic = match material.kind {
+        MaterialKind::MetallicRoughness { metallic, .. } => metallic,
+        _ => 0.0,
     };
     Material {
         color: color.as_vec3(),
         kind,
         emission: material.emission.as_vec3(),
         parameter: parameter as f32,
+        roughness: material.kind.roughness().unwrap_or(0.0) as f32,
+        metallic: metallic as f32,
+        ..Default::default()
     }
 }
 

@@ -15,7 +15,8 @@ use super::validate::{self, material_label, shape_label};
 use super::{Camera, Defaults, Geometry, Material, MaterialKind, Placement, Scene, SceneWarning, Shape};
 
 const TOP_KEYS: [&str; 7] = ["name", "description", "camera", "environment", "render", "materials", "shapes"];
-const MATERIAL_TYPES: [&str; 4] = ["diffuse", "mirror", "glossy", "dielectric"];
+const MATERIAL_TYPES: [&str; 7] =
+    ["diffuse", "mirror", "glossy", "dielectric", "metal", "metallic-roughness", "rough-dielectric"];
 const SHAPE_TYPES: [&str; 4] = ["sphere", "quad", "box", "mesh"];
 
 /// Names of materials and their places in [`Scene::materials`].
@@ -149,6 +150,26 @@ fn material_kind(fields: &Fields<'_>) -> Result<MaterialKind, Fault> {
             Ok(MaterialKind::Dielectric {
                 tint: fields.get("tint")?.unwrap_or(DVec3::ONE),
                 ior: fields.need("ior")?,
+            })
+        }
+        "metal" => {
+            fields.only(&["type", "color", "roughness", "emission"])?;
+            Ok(MaterialKind::Metal { color: fields.need("color")?, roughness: fields.need("roughness")? })
+        }
+        "metallic-roughness" => {
+            fields.only(&["type", "color", "metallic", "roughness", "emission"])?;
+            Ok(MaterialKind::MetallicRoughness {
+                color: fields.need("color")?,
+                metallic: fields.need("metallic")?,
+                roughness: fields.need("roughness")?,
+            })
+        }
+        "rough-dielectric" => {
+            fields.only(&["type", "tint", "ior", "roughness", "emission"])?;
+            Ok(MaterialKind::RoughDielectric {
+                tint: fields.get("tint")?.unwrap_or(DVec3::ONE),
+                ior: fields.need("ior")?,
+                roughness: fields.need("roughness")?,
             })
         }
         other => Err(unknown_type(fields, other, &MATERIAL_TYPES)),
@@ -294,6 +315,8 @@ pub(super) fn material_index(name: &str, names: &MaterialNames) -> Result<usize,
 fn unknown_type(fields: &Fields<'_>, given: &str, known: &[&str]) -> Fault {
     let translation = match given {
         "glass" => "; use \"dielectric\"".to_owned(),
+        "conductor" | "ggx" => "; use \"metal\"".to_owned(),
+        "pbr" | "principled" => "; use \"metallic-roughness\"".to_owned(),
         "lambert" | "lambertian" | "matte" => "; use \"diffuse\"".to_owned(),
         "emitter" | "light" | "emissive" => "; use \"diffuse\" and give it an emission".to_owned(),
         _ => suggestion(given, known.iter().copied()),

@@ -167,7 +167,7 @@ mod tests {
             }
             assert_eq!(
                 rows.len(),
-                2 * spheres + 6 * quads + 3 * triangles + 2 * 4 + 2 * 5,
+                2 * spheres + 6 * quads + 3 * triangles + 3 * 4 + 2 * 5,
                 "nothing lies there twice"
             );
         }

@@ -150,7 +150,26 @@ pub(super) fn material(material: &Material) -> Check {
             light("tint", tint)?;
             refractive_index(ior)
         }
+        MaterialKind::Metal { color, roughness } => {
+            light("color", color)?;
+            share("roughness", roughness, "0 is smooth, 1 the roughest")
+        }
+        MaterialKind::MetallicRoughness { color, metallic, roughness } => {
+            light("color", color)?;
+            share("metallic", metallic, "0 is plastic, 1 is metal")?;
+            share("roughness", roughness, "0 is smooth, 1 the roughest")
+        }
+        MaterialKind::RoughDielectric { tint, ior, roughness } => {
+            light("tint", tint)?;
+            refractive_index(ior)?;
+            share("roughness", roughness, "0 is smooth, 1 the roughest")
+        }
     }
+}
+
+fn share(key: &str, number: f64, meaning: &str) -> Check {
+    finite(key, number)?;
+    ensure((0.0..=1.0).contains(&number), || format!("{key} {number} is not within 0 to 1; {meaning}"))
 }
 
 fn refractive_index(ior: f64) -> Check {

@@ -3,6 +3,7 @@
 use std::fmt;
 
 use super::coincidence::coincident;
+use super::compiled::LEAST_ALPHA;
 use super::error::quoted;
 use super::resolution::Resolution;
 use super::validate::shape_label;
@@ -20,6 +21,15 @@ pub enum SceneWarning {
         material: String,
         /// The largest channel.
         largest: f64,
+    },
+    /// A roughness that is taken for a greater one, since the highlights are narrower than f32 directions can tell.
+    Smoothed {
+        /// The material's name.
+        material: String,
+        /// As given.
+        roughness: f64,
+        /// What it is taken for.
+        least: f64,
     },
     /// A lamp coincides with another shape: rounding decides which of the two a ray meets.
     FlushLamp {
@@ -70,6 +80,12 @@ impl fmt::Display for SceneWarning {
                 "material {}: a color of {largest} is above 1, so each bounce adds energy; lower it to 1 or less",
                 quoted(material)
             ),
+            Self::Smoothed { material, roughness, least } => write!(
+                f,
+                "material {}: a roughness of {roughness} is taken for {least:.3}, below which highlights are too narrow for \
+                 32 bits; for perfect smoothness use a mirror or a dielectric",
+                quoted(material)
+            ),
             Self::FlushLamp { lamp, other } => write!(
                 f,
                 "{lamp} lies in the surface of {other}, so rounding decides which of the two a ray meets; move the lamp \
@@ -104,6 +120,7 @@ impl Scene {
             warnings.push(SceneWarning::NoLight);
         }
         warnings.extend(self.materials.iter().filter_map(albedo_warning));
+        warnings.extend(self.materials.iter().filter_map(roughness_warning));
         warnings.extend(self.flush_lamps());
         warnings.extend(self.repaired_meshes());
         warnings.extend(self.below_resolution());
@@ -161,4 +178,10 @@ impl Scene {
 fn albedo_warning(material: &Material) -> Option<SceneWarning> {
     let largest = material.kind.color().max_element();
     (largest > 1.0).then(|| SceneWarning::AlbedoAboveOne { material: material.name.clone(), largest })
+}
+
+fn roughness_warning(material: &Material) -> Option<SceneWarning> {
+    let (roughness, least) = (material.kind.roughness()?, f64::from(LEAST_ALPHA).sqrt());
+    let name = || material.name.clone();
+    (roughness < least).then(|| SceneWarning::Smoothed { material: name(), roughness, least })
 }

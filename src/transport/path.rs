@@ -7,7 +7,7 @@ use super::light::{choose_light, pdf_light, sample_light};
 use super::roulette::Roulette;
 use super::split::{SEED_SHIFT, Share, bounce_of, budget_of, copies_of, pack_bounce, share_of};
 use crate::accel::Search;
-use crate::bsdf::{BsdfSample, bsdf_evaluate, bsdf_sample};
+use crate::bsdf::{BsdfSample, bsdf_evaluate, bsdf_sample, is_black};
 use crate::guiding::octant::Draws;
 use crate::guiding::table::GuidedDensity;
 use crate::guiding::{Trail, Transition};
@@ -15,7 +15,9 @@ use crate::math::{luminance, mis_weight};
 use crate::random::{DIMENSION_CAMERA, SampleKey, Sampler, dimension_bsdf, dimension_light, sample4};
 use crate::sampling::pdf_cosine;
 use crate::scene::camera::camera_ray;
-use crate::scene::compiled::{CompiledScene, KIND_DIELECTRIC, KIND_MIRROR, Material, Uniforms};
+use crate::scene::compiled::{
+    CompiledScene, KIND_DIELECTRIC, KIND_MIRROR, KIND_ROUGH_DIELECTRIC, Material, Uniforms,
+};
 use crate::scene::shapes::{Hit, Ray, Surface, shape_info, spawn_ray, surface_at};
 use glam::{Vec3, Vec4, Vec4Swizzles};
 
@@ -195,12 +197,20 @@ impl<'a> Transport<'a> {
         let u = sample4(self.sampler, key, dimension_light(bounce_of(ray)));
         let light = &self.scene.lights[choose_light(self.scene, u.x) as usize];
         // The point that the continued ray will leave from, so that both strategies measure the light from the same place.
-        let origin = spawn_ray(surface, normal).origin;
-        let towards = sample_light(self.scene, origin, light.shape, u.yz());
+        let mut origin = spawn_ray(surface, normal).origin;
+        let mut towards = sample_light(self.scene, origin, light.shape, u.yz());
+        if material.kind == KIND_ROUGH_DIELECTRIC
+            && towards.wi.dot(surface.normal) * normal.dot(surface.normal) < 0.0
+        {
+            // Through the surface it leaves from its other side.
+            origin = spawn_ray(surface, -normal).origin;
+            towards = sample_light(self.scene, origin, light.shape, u.yz());
+        }
         if towards.pdf <= 0.0 {
             return None;
         }
-        let bsdf = bsdf_evaluate(material, normal, -ray.direction, towards.wi);
+        let outside = ray.direction.dot(surface.normal) < 0.0;
+        let bsdf = bsdf_evaluate(material, normal, -ray.direction, outside, towards.wi);
         if bsdf.value.max_element() <= 0.0 {
             return None;
         }
@@ -280,7 +290,7 @@ impl<'a> Transport<'a> {
         outcome.transition =
             Transition { slot: trail.slot, value: luminance(emission) * trail.weight, ..Default::default() };
         let bounce = bounce_of(ray);
-        if bounce + 1 >= self.uniforms.max_bounces || material.color.max_element() <= 0.0 {
+        if bounce + 1 >= self.uniforms.max_bounces || is_black(material) {
             return outcome;
         }
 
