@@ -28,7 +28,7 @@ pub enum SceneWarning {
         /// The shape in whose surface it lies.
         other: String,
     },
-    /// Triangles that were left out of a mesh.
+    /// Triangles that were left out of a mesh, and normals and texture coordinates that were replaced.
     MeshRepaired {
         /// The mesh, as errors call it.
         mesh: String,
@@ -66,11 +66,9 @@ impl fmt::Display for SceneWarning {
                 "{lamp} lies in the surface of {other}, so rounding decides which of the two a ray meets; move the lamp \
                  off it a little, to the side that it lights"
             ),
-            Self::MeshRepaired { mesh, repairs: Repairs { degenerate, duplicate } } => write!(
-                f,
-                "{mesh}: left out {degenerate} triangles without area and {duplicate} that repeat another; clean the mesh \
-                 to be rid of this"
-            ),
+            Self::MeshRepaired { mesh, repairs } => {
+                write!(f, "{mesh}: {}; clean the mesh to be rid of this", repairs_made(repairs))
+            }
             Self::BelowResolution { shape, size, offset, others } => {
                 let more = if *others > 0 { format!(" (and {others} more)") } else { String::new() };
                 write!(
@@ -144,4 +142,27 @@ impl Scene {
 fn albedo_warning(material: &Material) -> Option<SceneWarning> {
     let largest = material.kind.color().max_element();
     (largest > 1.0).then(|| SceneWarning::AlbedoAboveOne { material: material.name.clone(), largest })
+}
+
+/// What was done to a mesh, in words.
+fn repairs_made(repairs: &Repairs) -> String {
+    let Repairs { degenerate, duplicate, normals, turned, uvs } = *repairs;
+    let mut made = Vec::new();
+    if degenerate + duplicate > 0 {
+        made.push(format!(
+            "left out {degenerate} triangles without area and {duplicate} that repeat another"
+        ));
+    }
+    if turned {
+        made.push("turned all normals around, since most point inwards".to_owned());
+    }
+    if normals > 0 {
+        made.push(format!(
+            "took the triangle's own normal at {normals} corners, whose normals are zero, no numbers or point inwards"
+        ));
+    }
+    if uvs > 0 {
+        made.push(format!("took 0 for {uvs} texture coordinates that are no numbers or beyond 1e6"));
+    }
+    made.join("; ")
 }

@@ -2,12 +2,12 @@
 
 use std::fs::File;
 use std::io::{BufReader, Read};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::{MeshData, obj, ply};
 use crate::scene::SceneError;
 use crate::scene::error::quoted;
-use crate::scene::load::io_problem;
+use crate::scene::load::{io_problem, within_folder};
 
 /// Larger files are refused unread.
 const LARGEST_FILE: u64 = 2 << 30;
@@ -27,26 +27,8 @@ impl MeshData {
 /// Reads a mesh file that a scene names, which must lie within the scene's folder.
 pub(in crate::scene) fn of_scene(name: &str, folder: Option<&Path>) -> Result<MeshData, String> {
     let file = format!("file {}", quoted(name));
-    let Some(folder) = folder else {
-        return Err(format!(
-            "{file} is looked for beside the scene, which has no folder; load the scene from a file"
-        ));
-    };
-    let path = within(folder, Path::new(name)).map_err(|problem| format!("{file} {problem}"))?;
+    let path = within_folder(folder, name).map_err(|problem| format!("{file} {problem}"))?;
     read(&path).map_err(|problem| format!("{file} {problem}"))
-}
-
-/// The file of that name, relative to the folder; links and `..` are followed, and must stay within.
-fn within(folder: &Path, name: &Path) -> Result<PathBuf, String> {
-    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
-    let folder = folder.canonicalize().map_err(|error| io_problem(&error))?;
-    let path = folder.join(name).canonicalize().map_err(|error| io_problem(&error))?;
-    match path.starts_with(&folder) {
-        true => Ok(path),
-        false => {
-            Err("lies outside the scene's folder; copy it there and name it relative to the scene".to_owned())
-        }
-    }
 }
 
 fn read(path: &Path) -> Result<MeshData, String> {
