@@ -121,7 +121,7 @@ impl KernelKey {
             ("spheres", self.spheres),
             ("quads", self.quads),
             ("triangles", self.triangles),
-            ("smooth", self.smooth),
+            ("smooth_normals", self.smooth),
             ("textures", self.textures),
             ("normal_maps", self.normal_maps),
             ("shading_normals", self.smooth || self.normal_maps),
