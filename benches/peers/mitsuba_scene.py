@@ -19,8 +19,9 @@ def read(path):
     return json.loads(text) if str(path).endswith(".json") else tomllib.loads(text)
 
 
-def load(description, size, max_depth, roulette_depth):
-    """Mitsuba's scene: its path integrator (direct light and MIS), a box filter of one pixel, independent samples."""
+def load(description, size, max_depth, roulette_depth, folder=Path(".")):
+    """Mitsuba's scene: its path integrator (direct light and MIS), a box filter of one pixel, independent samples. Meshes and
+    textures lie in `folder`."""
     scene = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": max_depth, "rr_depth": roulette_depth},
@@ -31,8 +32,8 @@ def load(description, size, max_depth, roulette_depth):
         scene["environment"] = {"type": "constant", "radiance": _rgb(radiance)}
     materials = description.get("materials", {})
     for name, material in materials.items():
-        scene[f"material_{name}"] = {**_material(material), "id": f"material_{name}"}
-    for i, (material, shape) in enumerate(_shapes(description)):
+        scene[f"material_{name}"] = {**_material(material, folder), "id": f"material_{name}"}
+    for i, (material, shape) in enumerate(_shapes(description, folder)):
         shape["bsdf"] = {"type": "ref", "id": f"material_{material}"}
         emission = materials[material].get("emission", [0, 0, 0])
         if max(emission) > 0:
@@ -68,7 +69,20 @@ def _camera(camera, size):
     }
 
 
-def _material(material):
+def _colour(material, folder):
+    """The colour, or the texture times the colour, which must be grey."""
+    given = material.get("color", [1, 1, 1])
+    if "color_texture" not in material:
+        return _rgb(given)
+    if len(set(given)) > 1:
+        raise ValueError("a color beside a color_texture must be grey")
+    bitmap = mi.Bitmap(str(folder / material["color_texture"])).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False)
+    linear = np.array(bitmap) * float(given[0])
+    wrap = {"repeat": "repeat", "clamp": "clamp", "mirror": "mirror"}[material.get("texture_wrap", "repeat")]
+    return {"type": "bitmap", "bitmap": mi.Bitmap(linear.astype(np.float32)), "raw": True, "wrap_mode": wrap}
+
+
+def _material(material, folder):
     """What reflects on both sides in qtracer is made two-sided here."""
     kind = material["type"]
     if kind == "dielectric":
@@ -80,7 +94,7 @@ def _material(material):
             "specular_reflectance": tint,
             "specular_transmittance": tint,
         }
-    colour = _rgb(material["color"])
+    colour = _colour(material, folder)
     diffuse = {"type": "diffuse", "reflectance": colour}
     if kind == "diffuse":
         return {"type": "twosided", "side": diffuse}
@@ -95,7 +109,7 @@ def _material(material):
     raise ValueError(f"unknown material type {kind}")
 
 
-def _shapes(description):
+def _shapes(description, folder):
     """(material, shape without it); boxes become six quads, outward."""
     for shape in description.get("shapes", []):
         kind = shape["type"]
@@ -105,11 +119,23 @@ def _shapes(description):
             yield shape["material"], sphere
         elif kind == "quad":
             yield shape["material"], _quad(shape["corner"], shape["e1"], shape["e2"])
+        elif kind == "mesh":
+            yield shape["material"], _mesh(shape, folder)
         elif kind == "box":
             for side in _box(shape):
                 yield shape["material"], _quad(*side)
         else:
             raise ValueError(f"unknown shape type {kind}")
+
+
+def _mesh(shape, folder):
+    """A PLY file. Its v goes up from the lower edge of images, Mitsuba's down from the upper."""
+    transform = mi.ScalarTransform4f()
+    transform = transform.translate(shape.get("translate", [0, 0, 0]))
+    transform = transform.rotate([0, 1, 0], shape.get("rotate_y_deg", 0)).scale(shape.get("scale", 1))
+    flat = not shape.get("smooth", True)
+    path = str(folder / shape["file"])
+    return {"type": "ply", "filename": path, "to_world": transform, "face_normals": flat, "flip_tex_coords": True}
 
 
 def _quad(corner, e1, e2):

@@ -22,6 +22,14 @@ pub struct KernelKey {
     pub quads: bool,
     /// Of meshes.
     pub triangles: bool,
+    /// Whether any mesh has normals at its corners.
+    pub smooth: bool,
+    /// Whether anything is textured,
+    pub textures: bool,
+    /// … has normals from a texture,
+    pub normal_maps: bool,
+    /// … or shines by one.
+    pub textured_lamps: bool,
     /// Material kinds present.
     pub kinds: [bool; KINDS],
     /// Light that comes from beyond the scene.
@@ -76,6 +84,10 @@ impl KernelKey {
             spheres: !scene.spheres.is_empty(),
             quads: !scene.quads.is_empty(),
             triangles: !scene.triangles.is_empty(),
+            smooth: !scene.surfaces.normals.is_empty(),
+            textures: scene.surfaces.is_textured(),
+            normal_maps: scene.surfaces.normal_maps,
+            textured_lamps: direct_light && scene.surfaces.textured_lamps,
             kinds,
             environment: scene.environment.max_element() > 0.0,
             direct_light,
@@ -111,6 +123,11 @@ impl KernelKey {
             ("spheres", self.spheres),
             ("quads", self.quads),
             ("triangles", self.triangles),
+            ("smooth_normals", self.smooth),
+            ("textures", self.textures),
+            ("normal_maps", self.normal_maps),
+            ("shading_normals", self.smooth || self.normal_maps),
+            ("textured_lamps", self.textured_lamps),
             ("diffuse", self.kinds[KIND_DIFFUSE as usize]),
             ("mirror", self.kinds[KIND_MIRROR as usize]),
             ("glossy", self.kinds[KIND_GLOSSY as usize]),

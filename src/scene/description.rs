@@ -11,6 +11,7 @@ use super::error::{Fault, SceneError, quoted, suggestion};
 use super::fields::Fields;
 use super::mesh::file::of_scene;
 use super::model::{self, Model};
+use super::texture::{MaterialTextures, Texture, TextureFiles, TextureRef, Wrap};
 use super::validate::{self, material_label, shape_label};
 use super::{Camera, Defaults, Geometry, Material, MaterialKind, Placement, Scene, SceneWarning, Shape};
 
@@ -26,10 +27,12 @@ pub(super) type MaterialNames = BTreeMap<String, usize>;
 pub(super) fn scene(root: &Node, folder: Option<&Path>) -> Result<Scene, SceneError> {
     let top = Fields::of(root).map_err(|fault| fault.of("scene", root.line))?;
     let (name, description) = heading(&top).map_err(|fault| fault.of("scene", root.line))?;
-    let mut materials = materials(top.node("materials"))?;
+    let mut files = TextureFiles::new(folder);
+    let mut materials = materials(top.node("materials"), &mut files)?;
     let names =
         materials.iter().enumerate().map(|(index, material)| (material.name.clone(), index)).collect();
-    let mut models = Models { names, folder, materials: &mut materials, warnings: Vec::new() };
+    let mut models =
+        Models { names, folder, materials: &mut materials, textures: &mut files.all, warnings: Vec::new() };
     let shapes = shapes(top.node("shapes"), &mut models)?;
     let file_warnings = models.warnings;
     let scene = Scene {
@@ -41,6 +44,7 @@ pub(super) fn scene(root: &Node, folder: Option<&Path>) -> Result<Scene, SceneEr
         defaults: section(&top, "render", render)?.unwrap_or_default(),
         materials,
         file_warnings,
+        textures: files.all,
     };
     scene.validate()?;
     Ok(scene)
@@ -104,7 +108,7 @@ fn render(fields: &Fields<'_>) -> Result<Defaults, Fault> {
     Ok(defaults)
 }
 
-fn materials(node: Option<&Node>) -> Result<Vec<Material>, SceneError> {
+fn materials(node: Option<&Node>, files: &mut TextureFiles<'_>) -> Result<Vec<Material>, SceneError> {
     let Some(node) = node else {
         return Ok(Vec::new());
     };
@@ -113,40 +117,90 @@ fn materials(node: Option<&Node>) -> Result<Vec<Material>, SceneError> {
         return Err(Fault::from(problem).of("materials", node.line));
     };
     let read = |(name, node): (&String, &Node)| {
-        material(name, node).map_err(|fault| fault.of(&material_label(name), node.line))
+        material(name, node, files).map_err(|fault| fault.of(&material_label(name), node.line))
     };
     table.iter().map(read).collect()
 }
 
-fn material(name: &str, node: &Node) -> Result<Material, Fault> {
+fn material(name: &str, node: &Node, files: &mut TextureFiles<'_>) -> Result<Material, Fault> {
     let fields = Fields::of(node)?;
     let kind = material_kind(&fields)?;
-    let emission = fields.get("emission")?.unwrap_or(DVec3::ZERO);
-    let material = Material { name: name.to_owned(), kind, emission };
+    let textures = textures(&fields, files)?;
+    // A texture that shines does so without a factor beside it.
+    let usual = if textures.emission.is_some() { DVec3::ONE } else { DVec3::ZERO };
+    let emission = fields.get("emission")?.unwrap_or(usual);
+    let material = Material { name: name.to_owned(), kind, emission, textures };
     validate::material(&material).map_err(|problem| fields.broken(problem))?;
     Ok(material)
+}
+
+/// Keys that every material may have.
+const TEXTURE_KEYS: [&str; 6] = [
+    "color_texture",
+    "metallic_roughness_texture",
+    "emission_texture",
+    "normal_texture",
+    "normal_scale",
+    "texture_wrap",
+];
+
+/// Refuses keys that are neither `own` nor those of every material.
+fn only_of_material(fields: &Fields<'_>, own: &[&str]) -> Result<(), Fault> {
+    fields.only(&[own, &["type", "emission"], &TEXTURE_KEYS].concat())
+}
+
+/// The colour, which may be left to the texture.
+fn color(fields: &Fields<'_>) -> Result<DVec3, Fault> {
+    match fields.node("color_texture") {
+        Some(_) => Ok(fields.get("color")?.unwrap_or(DVec3::ONE)),
+        None => fields.need("color"),
+    }
+}
+
+fn textures(fields: &Fields<'_>, files: &mut TextureFiles<'_>) -> Result<MaterialTextures, Fault> {
+    let line = |key: &str| fields.node(key).and_then(|node| node.line);
+    let wrap = match fields.get::<String>("texture_wrap")?.as_deref() {
+        None | Some("repeat") => Wrap::Repeat,
+        Some("clamp") => Wrap::Clamp,
+        Some("mirror") => Wrap::Mirror,
+        Some(other) => {
+            let hint = suggestion(other, ["repeat", "clamp", "mirror"]);
+            let problem = format!("unknown texture_wrap {}{hint}", quoted(other));
+            return Err(Fault::new(line("texture_wrap"), problem));
+        }
+    };
+    let mut texture = |key: &str| -> Result<Option<TextureRef>, Fault> {
+        let Some(name) = fields.get::<String>(key)? else { return Ok(None) };
+        let number =
+            files.number(&name).map_err(|problem| Fault::new(line(key), format!("{key}: {problem}")))?;
+        Ok(Some(TextureRef { texture: number, wrap_u: wrap, wrap_v: wrap }))
+    };
+    Ok(MaterialTextures {
+        color: texture("color_texture")?,
+        metallic_roughness: texture("metallic_roughness_texture")?,
+        emission: texture("emission_texture")?,
+        normal: texture("normal_texture")?,
+        normal_scale: fields.get("normal_scale")?.unwrap_or(1.0),
+    })
 }
 
 fn material_kind(fields: &Fields<'_>) -> Result<MaterialKind, Fault> {
     let kind: String = fields.need("type")?;
     match kind.as_str() {
         "diffuse" => {
-            fields.only(&["type", "color", "emission"])?;
-            Ok(MaterialKind::Diffuse { color: fields.need("color")? })
+            only_of_material(fields, &["color"])?;
+            Ok(MaterialKind::Diffuse { color: color(fields)? })
         }
         "mirror" => {
-            fields.only(&["type", "color", "level", "emission"])?;
-            Ok(MaterialKind::Mirror {
-                color: fields.need("color")?,
-                level: fields.get("level")?.unwrap_or(1.0),
-            })
+            only_of_material(fields, &["color", "level"])?;
+            Ok(MaterialKind::Mirror { color: color(fields)?, level: fields.get("level")?.unwrap_or(1.0) })
         }
         "glossy" => {
-            fields.only(&["type", "color", "exponent", "emission"])?;
-            Ok(MaterialKind::Glossy { color: fields.need("color")?, exponent: fields.need("exponent")? })
+            only_of_material(fields, &["color", "exponent"])?;
+            Ok(MaterialKind::Glossy { color: color(fields)?, exponent: fields.need("exponent")? })
         }
         "dielectric" => {
-            fields.only(&["type", "tint", "ior", "emission"])?;
+            only_of_material(fields, &["tint", "ior"])?;
             Ok(MaterialKind::Dielectric {
                 tint: fields.get("tint")?.unwrap_or(DVec3::ONE),
                 ior: fields.need("ior")?,
@@ -182,6 +236,7 @@ struct Models<'a> {
     names: MaterialNames,
     folder: Option<&'a Path>,
     materials: &'a mut Vec<Material>,
+    textures: &'a mut Vec<Texture>,
     warnings: Vec<SceneWarning>,
 }
 
@@ -258,7 +313,7 @@ fn boxed(fields: &Fields<'_>) -> Result<Vec<Geometry>, Fault> {
 }
 
 fn meshed(fields: &Fields<'_>, models: &mut Models<'_>) -> Result<Vec<Shape>, Fault> {
-    fields.only(&["type", "name", "material", "file", "scale", "rotate_y_deg", "translate"])?;
+    fields.only(&["type", "name", "material", "file", "scale", "rotate_y_deg", "translate", "smooth"])?;
     let usual = Placement::default();
     let placement = Placement {
         scale: fields.get("scale")?.unwrap_or(usual.scale),
@@ -273,6 +328,17 @@ fn meshed(fields: &Fields<'_>, models: &mut Models<'_>) -> Result<Vec<Shape>, Fa
     let material = if own { None } else { Some(own_material(fields, &models.names)?) };
     let broken = |problem| fields.broken(format!("file {} {problem}", quoted(&file)));
     let mut model = Model::load(&path).map_err(broken)?;
+    match fields.get("smooth")? {
+        Some(false) => model.surfaces.iter_mut().for_each(|surface| surface.data.normals.clear()),
+        Some(true) if model.surfaces.iter().any(|surface| surface.data.normals.is_empty()) => {
+            let problem = format!(
+                "smooth needs normals, which file {} does not have; write it with them",
+                quoted(&file)
+            );
+            return Err(fields.broken(problem));
+        }
+        _ => {}
+    }
     let mut shapes = model.place(&placement).map_err(broken)?;
     if shapes.is_empty() {
         return Err(broken(model::NOTHING_TO_SHOW.to_owned()));
@@ -284,16 +350,18 @@ fn meshed(fields: &Fields<'_>, models: &mut Models<'_>) -> Result<Vec<Shape>, Fa
         shape.name = name.clone().or(shape.name.take());
     }
     if own {
-        models.add(&file, model.materials);
+        models.add(&file, model.materials, model.textures);
     }
     Ok(shapes)
 }
 
 impl Models<'_> {
-    /// Adds the materials of a file under names that no other has.
-    fn add(&mut self, file: &str, materials: Vec<Material>) {
-        let place = self.materials.len();
-        let named = |material: Material| {
+    /// Adds the materials of a file under names that no other has, and their textures.
+    fn add(&mut self, file: &str, materials: Vec<Material>, textures: Vec<Texture>) {
+        let (place, first_texture) = (self.materials.len(), self.textures.len());
+        self.textures.extend(textures);
+        let named = |mut material: Material| {
+            material.textures.move_by(first_texture);
             let name = format!("{file}: {}", material.name);
             let taken = self.materials.iter().any(|other| other.name == name);
             // The file has been read before.

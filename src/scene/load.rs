@@ -2,7 +2,7 @@
 
 use std::fs::File;
 use std::io::{ErrorKind, Read};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::document::Node;
 use super::error::{Fault, quoted};
@@ -127,5 +127,20 @@ pub(super) fn io_problem(error: &std::io::Error) -> String {
         ErrorKind::NotFound => "no such file; check the path".to_owned(),
         ErrorKind::PermissionDenied => "can't be read: permission denied; check its mode".to_owned(),
         _ => format!("can't be read: {error}"),
+    }
+}
+
+/// The file that a scene in this folder calls so; links and `..` are followed, and must stay within. `Err` says what is wrong.
+pub(super) fn within_folder(folder: Option<&Path>, name: &str) -> Result<PathBuf, String> {
+    let folder =
+        folder.ok_or("is looked for beside the scene, which has no folder; load the scene from a file")?;
+    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    let folder = folder.canonicalize().map_err(|error| io_problem(&error))?;
+    let path = folder.join(name).canonicalize().map_err(|error| io_problem(&error))?;
+    match path.starts_with(&folder) {
+        true => Ok(path),
+        false => {
+            Err("lies outside the scene's folder; copy it there and name it relative to the scene".to_owned())
+        }
     }
 }

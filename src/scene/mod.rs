@@ -36,9 +36,16 @@
 //! size = [1, 1, 1]
 //! rotate_y_deg = 30
 //! material = "white"
+//! [materials.brick]
+//! type = "diffuse"
+//! color = [1, 1, 1]           # default where there is a color_texture, which it multiplies
+//! color_texture = "brick.png" # .png or .jpg beside the scene; also emission_texture, normal_texture
+//! normal_scale = 1            # default; of normal_texture
+//! texture_wrap = "repeat"     # default; or clamp, mirror
 //! [[shapes]]
 //! type = "mesh"               # triangles of a .ply, .obj, .gltf or .glb file beside the scene
 //! file = "meshes/blob.ply"
+//! smooth = true               # default where the file has normals; false ignores them
 //! scale = 0.5                 # default 1, then rotate_y_deg, then translate
 //! translate = [0, 1, 0]
 //! material = "white"          # may be left out for .gltf and .glb, which have materials of their own
@@ -55,7 +62,11 @@ pub mod compiled;
 mod mesh;
 mod model;
 pub mod rows;
+pub mod shading;
 pub mod shapes;
+pub mod surfaces;
+pub mod texels;
+mod texture;
 pub mod triangle;
 
 mod builder;
@@ -77,6 +88,7 @@ use glam::DVec3;
 pub use builder::SceneBuilder;
 pub use error::{Place, SceneError};
 pub use mesh::{Mesh, MeshData, Placement, Repairs};
+pub use texture::{MaterialTextures, Texture, TextureRef, Wrap};
 pub use validate::check_image_size;
 pub use warning::SceneWarning;
 
@@ -93,6 +105,8 @@ pub struct Scene {
     pub environment: DVec3,
     /// Sorted by name when read from a file, in order of addition when built.
     pub materials: Vec<Material>,
+    /// Images that materials refer to.
+    pub textures: Vec<Texture>,
     /// In the order of the file; a box has become six quads.
     pub shapes: Vec<Shape>,
     /// How it should be rendered unless asked otherwise.
@@ -146,6 +160,8 @@ pub struct Material {
     pub kind: MaterialKind,
     /// Radiance leaving the side of the outward normal only; ≥ 0, black for most. Any kind may emit.
     pub emission: DVec3,
+    /// Images for what it says, on quads and on meshes with texture coordinates.
+    pub textures: MaterialTextures,
 }
 
 /// How a surface reflects. Colours are per channel, ≥ 0; above 1 they add energy ([`SceneWarning::AlbedoAboveOne`]).
@@ -269,13 +285,19 @@ impl Material {
         self
     }
 
+    /// The same material with these textures.
+    pub fn textured(mut self, textures: MaterialTextures) -> Self {
+        self.textures = textures;
+        self
+    }
+
     /// True where some channel is emitted.
     pub fn is_emissive(&self) -> bool {
         self.emission.max_element() > 0.0
     }
 
     fn of(kind: MaterialKind) -> Self {
-        Self { name: String::new(), kind, emission: DVec3::ZERO }
+        Self { name: String::new(), kind, emission: DVec3::ZERO, textures: MaterialTextures::default() }
     }
 }
 

@@ -38,7 +38,7 @@ pub enum SceneWarning {
         /// The shape in whose surface it lies.
         other: String,
     },
-    /// Triangles that were left out of meshes.
+    /// Triangles that were left out of meshes, and normals and texture coordinates that were replaced.
     MeshRepaired {
         /// The first such mesh, as errors call it.
         mesh: String,
@@ -91,13 +91,9 @@ impl fmt::Display for SceneWarning {
                 "{lamp} lies in the surface of {other}, so rounding decides which of the two a ray meets; move the lamp \
                  off it a little, to the side that it lights"
             ),
-            Self::MeshRepaired { mesh, repairs: Repairs { degenerate, duplicate }, others } => {
+            Self::MeshRepaired { mesh, repairs, others } => {
                 let more = if *others > 0 { format!(" (and {others} more)") } else { String::new() };
-                write!(
-                    f,
-                    "{mesh}{more}: left out {degenerate} triangles without area and {duplicate} that repeat another; clean \
-                     the mesh to be rid of this"
-                )
+                write!(f, "{mesh}{more}: {}; clean the mesh to be rid of this", repairs_made(repairs))
             }
             Self::InFile { file, problem } => write!(f, "{file}: {problem}"),
             Self::BelowResolution { shape, size, offset, others } => {
@@ -136,7 +132,13 @@ impl Scene {
         let repaired: Vec<(usize, Repairs)> = repaired.collect();
         let &(first, _) = repaired.first()?;
         let sum = |of: fn(&Repairs) -> usize| repaired.iter().map(|(_, repairs)| of(repairs)).sum();
-        let repairs = Repairs { degenerate: sum(|r| r.degenerate), duplicate: sum(|r| r.duplicate) };
+        let repairs = Repairs {
+            degenerate: sum(|repairs| repairs.degenerate),
+            duplicate: sum(|repairs| repairs.duplicate),
+            normals: sum(|repairs| repairs.normals),
+            turned: repaired.iter().any(|(_, repairs)| repairs.turned),
+            uvs: sum(|repairs| repairs.uvs),
+        };
         let mesh = shape_label(first, self.shapes[first].name.as_deref());
         Some(SceneWarning::MeshRepaired { mesh, repairs, others: repaired.len() - 1 })
     }
@@ -184,4 +186,27 @@ fn roughness_warning(material: &Material) -> Option<SceneWarning> {
     let (roughness, least) = (material.kind.roughness()?, f64::from(LEAST_ALPHA).sqrt());
     let name = || material.name.clone();
     (roughness < least).then(|| SceneWarning::Smoothed { material: name(), roughness, least })
+}
+
+/// What was done to a mesh, in words.
+fn repairs_made(repairs: &Repairs) -> String {
+    let Repairs { degenerate, duplicate, normals, turned, uvs } = *repairs;
+    let mut made = Vec::new();
+    if degenerate + duplicate > 0 {
+        made.push(format!(
+            "left out {degenerate} triangles without area and {duplicate} that repeat another"
+        ));
+    }
+    if turned {
+        made.push("turned all normals around, since most point inwards".to_owned());
+    }
+    if normals > 0 {
+        made.push(format!(
+            "took the triangle's own normal at {normals} corners, whose normals are zero, no numbers or point inwards"
+        ));
+    }
+    if uvs > 0 {
+        made.push(format!("took 0 for {uvs} texture coordinates that are no numbers or beyond 1e6"));
+    }
+    made.join("; ")
 }

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use super::{MeshData, obj, ply};
 use crate::scene::SceneError;
 use crate::scene::error::quoted;
-use crate::scene::load::io_problem;
+use crate::scene::load::{io_problem, within_folder};
 
 /// Larger files are refused unread.
 pub(in crate::scene) const LARGEST_FILE: u64 = 2 << 30;
@@ -41,25 +41,7 @@ pub(in crate::scene) fn bytes(path: &Path) -> Result<Vec<u8>, String> {
 /// The file that a scene names, which must lie within the scene's folder.
 pub(in crate::scene) fn of_scene(name: &str, folder: Option<&Path>) -> Result<PathBuf, String> {
     let file = format!("file {}", quoted(name));
-    let Some(folder) = folder else {
-        return Err(format!(
-            "{file} is looked for beside the scene, which has no folder; load the scene from a file"
-        ));
-    };
-    within(folder, Path::new(name)).map_err(|problem| format!("{file} {problem}"))
-}
-
-/// The file of that name, relative to the folder; links and `..` are followed, and must stay within.
-pub(in crate::scene) fn within(folder: &Path, name: &Path) -> Result<PathBuf, String> {
-    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
-    let folder = folder.canonicalize().map_err(|error| io_problem(&error))?;
-    let path = folder.join(name).canonicalize().map_err(|error| io_problem(&error))?;
-    match path.starts_with(&folder) {
-        true => Ok(path),
-        false => {
-            Err("lies outside the scene's folder; copy it there and name it relative to the scene".to_owned())
-        }
-    }
+    within_folder(folder, name).map_err(|problem| format!("{file} {problem}"))
 }
 
 /// How many bytes a file has that may be read.

@@ -48,6 +48,7 @@ impl MeshData {
         MeshData {
             positions: self.positions.iter().map(|&p| map.transform_point3(p)).collect(),
             normals: self.normals.iter().map(|&n| cofactors * n).collect(),
+            uvs: self.uvs.clone(),
             triangles: self.triangles.iter().map(turned).collect(),
         }
     }

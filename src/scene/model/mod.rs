@@ -16,7 +16,7 @@ use glam::{DAffine3, DVec3};
 use rayon::prelude::*;
 
 use super::mesh::{Placement, file};
-use super::{Geometry, Material, Mesh, MeshData, Shape};
+use super::{Geometry, Material, Mesh, MeshData, Shape, Texture};
 use findings::Findings;
 pub(super) use whole::load as load_whole;
 
@@ -25,6 +25,8 @@ pub(super) use whole::load as load_whole;
 pub(super) struct Model {
     /// With names that differ.
     pub materials: Vec<Material>,
+    /// What the materials' textures refer to.
+    pub textures: Vec<Texture>,
     pub surfaces: Vec<Surface>,
     pub instances: Vec<Instance>,
     pub cameras: Vec<ModelCamera>,

@@ -46,6 +46,7 @@ fn whole(mut model: Model, name: String, file: &str, camera: Option<&str>) -> Re
         environment: if lit { DVec3::ZERO } else { DVec3::splat(SKY) },
         file_warnings: model.findings.warnings(file),
         materials: model.materials,
+        textures: model.textures,
         shapes,
         defaults: Defaults::default(),
     })

@@ -1,6 +1,8 @@
 //! Rows of numbers in buffers. Everything is checked when an accessor is opened: reading a row below `count` then can't fail, and
 //! nothing is allocated.
 
+use std::ops::Range;
+
 use ::gltf::json::accessor::{ComponentType, Type, sparse};
 use ::gltf::json::validation::Checked;
 use ::gltf::json::{Index, Root, accessor, buffer};
@@ -107,6 +109,25 @@ fn open<'a>(
     Ok(Rows { count: count as usize, width, component, normalized: accessor.normalized, base, replaced })
 }
 
+/// The bytes of a view, if it lies within its buffer.
+pub(super) fn view_bytes<'a>(
+    root: &Root,
+    buffers: &'a Buffers<'_>,
+    view: Index<buffer::View>,
+) -> Result<&'a [u8], String> {
+    let number = view.value();
+    let view = root.buffer_views.get(number).ok_or("names a view that is not there")?;
+    let buffer = buffers.get(view.buffer.value()).ok_or("names a buffer that is not there")?;
+    let range = span(view.byte_offset.unwrap_or_default().0, view.byte_length.0);
+    let within = range.and_then(|range| buffer.get(range));
+    within.ok_or_else(|| format!("lies in bufferViews[{number}], which reaches beyond its buffer"))
+}
+
+/// So many bytes from there, if they can be counted.
+fn span(start: u64, length: u64) -> Option<Range<usize>> {
+    Some(usize::try_from(start).ok()?..usize::try_from(start.checked_add(length)?).ok()?)
+}
+
 /// `count` elements of `size` bytes of a view, if they lie within it and it within its buffer.
 fn strided<'a>(
     root: &Root,
@@ -117,18 +138,12 @@ fn strided<'a>(
     size: usize,
 ) -> Result<Strided<'a>, String> {
     let number = view.value();
+    let within = view_bytes(root, buffers, view)?;
     let view = root.buffer_views.get(number).ok_or("names a view that is not there")?;
-    let buffer = buffers.get(view.buffer.value()).ok_or("names a buffer that is not there")?;
     let stride = view.byte_stride.map_or(size, |stride| stride.0);
     if stride < size {
         return Err(format!("has rows of {size} bytes every {stride} bytes"));
     }
-    let span = |start: u64, length: u64| {
-        Some(usize::try_from(start).ok()?..usize::try_from(start.checked_add(length)?).ok()?)
-    };
-    let within = span(view.byte_offset.unwrap_or_default().0, view.byte_length.0)
-        .and_then(|range| buffer.get(range))
-        .ok_or_else(|| format!("lies in bufferViews[{number}], which reaches beyond its buffer"))?;
     let length = match count {
         0 => Some(0),
         _ => (count - 1).checked_mul(stride as u64).and_then(|bytes| bytes.checked_add(size as u64)),

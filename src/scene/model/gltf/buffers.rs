@@ -12,8 +12,8 @@ use base64::engine::general_purpose::STANDARD;
 use percent_encoding::percent_decode_str;
 
 use crate::scene::error::quoted;
-use crate::scene::load::io_problem;
-use crate::scene::mesh::file::{LARGEST_FILE, length_of, within};
+use crate::scene::load::{io_problem, within_folder};
+use crate::scene::mesh::file::{LARGEST_FILE, length_of};
 
 /// The buffers of a file, in their order.
 pub(super) type Buffers<'a> = Vec<Cow<'a, [u8]>>;
@@ -76,9 +76,8 @@ pub(super) fn from_uri(uri: &str, length: u64, folder: Option<&Path>) -> Result<
     let path = percent_decode_str(uri)
         .decode_utf8()
         .map_err(|_| format!("has the uri {name}, which is no UTF-8"))?;
-    let folder = folder.ok_or("is looked for beside the model, which has no folder; load it from a file")?;
-    from_file(&within(folder, Path::new(&*path)).map_err(|problem| format!("file {name} {problem}"))?, length)
-        .map_err(|problem| format!("file {name} {problem}"))
+    let path = within_folder(folder, &path).map_err(|problem| format!("file {name} {problem}"))?;
+    from_file(&path, length).map_err(|problem| format!("file {name} {problem}"))
 }
 
 fn from_file(path: &Path, length: u64) -> Result<Vec<u8>, String> {

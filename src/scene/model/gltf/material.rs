@@ -4,15 +4,21 @@ use std::collections::HashSet;
 
 use ::gltf::json::extensions;
 use ::gltf::json::material::{AlphaMode, Material as Given};
+use ::gltf::json::texture::Info;
 use ::gltf::json::validation::Checked;
 use glam::DVec3;
 
+use super::textures::Images;
 use crate::scene::error::quoted;
 use crate::scene::model::findings::Findings;
-use crate::scene::{Material, MaterialKind};
+use crate::scene::{Material, MaterialKind, MaterialTextures};
 
 /// The materials in the order of the file, and behind them the one of primitives that have none; with names that differ.
-pub(super) fn read(given: &[Given], findings: &mut Findings) -> Vec<Material> {
+pub(super) fn read(
+    given: &[Given],
+    images: &mut Images<'_>,
+    findings: &mut Findings,
+) -> Result<Vec<Material>, String> {
     let mut names = HashSet::new();
     let mut materials: Vec<Material> = Vec::with_capacity(given.len() + 1);
     for (number, given) in given.iter().enumerate() {
@@ -23,13 +29,55 @@ pub(super) fn read(given: &[Given], findings: &mut Findings) -> Vec<Material> {
             .unwrap_or_else(|| format!("material {number}"));
         let place = format!("material {}", quoted(&name));
         let (kind, emission) = (kind(given, &place, findings), emission(given, &place, findings));
+        let material = Material {
+            name: new_name(name, &mut names),
+            kind,
+            emission,
+            textures: MaterialTextures::default(),
+        };
+        materials.push(textured(given, material, images, &place, findings)?);
         tell_of_rest(given, &place, findings);
-        materials.push(Material { name: new_name(name, &mut names), kind, emission });
     }
     let (name, kind) =
         (new_name("default material".to_owned(), &mut names), kind(&Given::default(), "", findings));
-    materials.push(Material { name, kind, emission: DVec3::ZERO });
-    materials
+    materials.push(Material { name, kind, emission: DVec3::ZERO, textures: MaterialTextures::default() });
+    Ok(materials)
+}
+
+/// The material with those of its textures that it has a use for.
+fn textured(
+    given: &Given,
+    material: Material,
+    images: &mut Images<'_>,
+    place: &str,
+    findings: &mut Findings,
+) -> Result<Material, String> {
+    let model = &given.pbr_metallic_roughness;
+    let unlit = given.extensions.as_ref().is_some_and(|extensions| extensions.unlit.is_some());
+    let mut slot = |info: Option<&Info>| match info {
+        Some(info) => images.texture(info.index, info.tex_coord, place, findings),
+        None => Ok(None),
+    };
+    let color = slot(model.base_color_texture.as_ref())?;
+    let rough = slot(model.metallic_roughness_texture.as_ref())?;
+    let shines = material.is_emissive() && !unlit;
+    let emission = slot(given.emissive_texture.as_ref().filter(|_| shines))?;
+    let normal = match &given.normal_texture {
+        Some(info) => images.texture(info.index, info.tex_coord, place, findings)?,
+        None => None,
+    };
+    let takes_rough = matches!(material.kind, MaterialKind::MetallicRoughness { .. });
+    if rough.is_some() && !takes_rough && !unlit {
+        findings.note("is of glass, whose roughness is even here; the texture of it is not taken", place);
+    }
+    let textures = MaterialTextures {
+        color: color.filter(|_| !unlit),
+        metallic_roughness: rough.filter(|_| takes_rough),
+        emission: if unlit { color } else { emission },
+        normal,
+        normal_scale: given.normal_texture.as_ref().map_or(1.0, |info| f64::from(info.scale)),
+    };
+    Ok(material.textured(textures))
 }
 
 /// The name, or the name with the first number that makes it new.
@@ -61,19 +109,15 @@ fn kind(given: &Given, place: &str, findings: &mut Findings) -> MaterialKind {
         );
     }
     match transmitted >= 0.5 {
-        true => glass(color, index_of_refraction(extensions, place, findings), roughness),
-        false => opaque(color, metallic, roughness),
+        true => {
+            let ior = index_of_refraction(extensions, place, findings);
+            match roughness > 0.0 {
+                true => MaterialKind::RoughDielectric { tint: color, ior, roughness },
+                false => MaterialKind::Dielectric { tint: color, ior },
+            }
+        }
+        false => MaterialKind::MetallicRoughness { color, metallic, roughness },
     }
-}
-
-fn glass(tint: DVec3, ior: f64, roughness: f64) -> MaterialKind {
-    let _ = roughness;
-    MaterialKind::Dielectric { tint, ior }
-}
-
-fn opaque(color: DVec3, metallic: f64, roughness: f64) -> MaterialKind {
-    let _ = (metallic, roughness);
-    MaterialKind::Diffuse { color }
 }
 
 /// KHR_materials_ior; 1.5 unless said, and 0 means that everything is reflected.
@@ -128,12 +172,6 @@ fn share(factor: f32, place: &str, findings: &mut Findings) -> f64 {
 fn tell_of_rest(given: &Given, place: &str, findings: &mut Findings) {
     if !matches!(given.alpha_mode, Checked::Valid(AlphaMode::Opaque)) {
         findings.note("is see-through where its alpha is low in the file, and opaque here", place);
-    }
-    let model = &given.pbr_metallic_roughness;
-    let textures = [model.base_color_texture.is_some(), model.metallic_roughness_texture.is_some()];
-    let more = [given.emissive_texture.is_some(), given.normal_texture.is_some()];
-    if textures.iter().chain(&more).any(|present| *present) {
-        findings.note("has textures, which are not read; its factors are taken alone", place);
     }
     if given.occlusion_texture.is_some() {
         findings.note("has an occlusion texture, which is not read; paths find out what is shaded", place);

@@ -8,6 +8,7 @@ mod lights;
 mod material;
 mod nodes;
 mod primitive;
+mod textures;
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -17,8 +18,10 @@ use ::gltf::json::mesh::Primitive;
 
 use super::{Instance, Model, Surface};
 use crate::scene::error::quoted;
+use crate::scene::{Material, MaterialTextures};
 use buffers::Buffers;
 use nodes::Placed;
+use textures::Images;
 
 /// Triangles in a model once every instance has its own.
 const MOST_TRIANGLES: usize = 1 << 25;
@@ -28,7 +31,9 @@ pub(super) fn read(bytes: &[u8], folder: Option<&Path>) -> Result<Model, String>
     let mut model = Model::default();
     let (root, chunk) = container::read(bytes, &mut model.findings)?;
     let buffers = buffers::read(&root, chunk, folder)?;
-    model.materials = material::read(&root.materials, &mut model.findings);
+    let mut images = Images::new(&root, &buffers, folder);
+    model.materials = material::read(&root.materials, &mut images, &mut model.findings)?;
+    model.textures = images.all;
     let placed = nodes::walk(&root, &mut model.findings)?;
     surfaces(&mut model, &root, &buffers, &placed)?;
     lights::read(&mut model, &root, &placed);
@@ -107,9 +112,30 @@ fn surface(
     if primitive.attributes.keys().any(|key| key.to_string().starts_with("COLOR_")) {
         findings.note("has colors at its corners, which are not read; its material's color is taken", label);
     }
-    let material = primitive.material.map_or(model.materials.len() - 1, |material| material.value());
+    // The one behind those of the file stands for none.
+    let mut material = primitive.material.map_or(root.materials.len(), |material| material.value());
+    if data.uvs.is_empty() && model.materials[material].textures.any() {
+        model
+            .findings
+            .note("has a material with textures, but no TEXCOORD_0; its factors are taken alone", label);
+        material = untextured(&mut model.materials, material);
+    }
     model.surfaces.push(Surface { name: label.to_owned(), material, data });
     Ok(Some(model.surfaces.len() - 1))
+}
+
+/// The number of that material without its textures.
+fn untextured(materials: &mut Vec<Material>, material: usize) -> usize {
+    let name = format!("{} (untextured)", materials[material].name);
+    let known = materials.iter().position(|material| material.name == name);
+    known.unwrap_or_else(|| {
+        materials.push(Material {
+            name,
+            textures: MaterialTextures::default(),
+            ..materials[material].clone()
+        });
+        materials.len() - 1
+    })
 }
 
 fn tell_of_rest(model: &mut Model, root: &Root, placed: &[Placed]) {

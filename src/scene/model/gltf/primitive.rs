@@ -17,6 +17,7 @@ pub(super) struct Faces<'a> {
     mode: Mode,
     positions: Rows<'a>,
     normals: Option<Rows<'a>>,
+    uvs: Option<Rows<'a>>,
     indices: Option<Rows<'a>>,
 }
 
@@ -38,10 +39,14 @@ pub(super) fn open<'a>(
     };
     let positions = attribute(Semantic::Positions)?.ok_or("has no POSITION; write it anew")?;
     let normals = attribute(Semantic::Normals)?;
+    let uvs = attribute(Semantic::TexCoords(0))?;
     let indices = primitive.indices.map(|index| Rows::open(root, buffers, index)).transpose()?;
-    for (what, rows, width) in
-        [("POSITION", Some(&positions), 3), ("NORMAL", normals.as_ref(), 3), ("indices", indices.as_ref(), 1)]
-    {
+    for (what, rows, width) in [
+        ("POSITION", Some(&positions), 3),
+        ("NORMAL", normals.as_ref(), 3),
+        ("TEXCOORD_0", uvs.as_ref(), 2),
+        ("indices", indices.as_ref(), 1),
+    ] {
         if let Some(rows) = rows.filter(|rows| rows.width != width) {
             return Err(format!("has {what} of {} numbers each, not {width}; write it anew", rows.width));
         }
@@ -51,10 +56,11 @@ pub(super) fn open<'a>(
     }) {
         return Err("has indices that are no whole numbers from 0 on; write it anew".to_owned());
     }
-    if normals.is_some_and(|rows| rows.count < positions.count) {
-        return Err("has fewer NORMALs than POSITIONs; write it anew".to_owned());
+    let too_few = |rows: &Option<Rows<'_>>| rows.is_some_and(|rows| rows.count < positions.count);
+    if too_few(&normals) || too_few(&uvs) {
+        return Err("has fewer NORMALs or TEXCOORDs than POSITIONs; write it anew".to_owned());
     }
-    Ok(Some(Faces { mode, positions, normals, indices }))
+    Ok(Some(Faces { mode, positions, normals, uvs, indices }))
 }
 
 impl Faces<'_> {
@@ -117,6 +123,10 @@ impl Faces<'_> {
                 "has a corner (number {corner}, from 0) that is infinite or not a number (nan); remove it"
             ));
         }
+        let uv = |rows: &Rows<'_>| -> Vec<[f32; 2]> {
+            corners.used.iter().map(|&row| rows.row(row as usize).map(|x| x as f32)).collect()
+        };
+        data.uvs = self.uvs.as_ref().map(uv).unwrap_or_default();
         data.normals = self.normals.as_ref().map(vectors).unwrap_or_default();
         Ok(data)
     }
