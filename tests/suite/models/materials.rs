@@ -34,6 +34,18 @@ fn emission_is_the_factor_times_the_strength() {
 }
 
 #[test]
+fn the_model_is_gltfs_own_with_its_usual_values() {
+    let given = json!({ "pbrMetallicRoughness": {
+        "baseColorFactor": [0.25, 0.5, 0.75, 0.1], "metallicFactor": 0.125, "roughnessFactor": 0.375 } });
+    let color = DVec3::new(0.25, 0.5, 0.75);
+    let expected = MaterialKind::MetallicRoughness { color, metallic: 0.125, roughness: 0.375 };
+    assert_eq!(material(given).0.kind, expected);
+    let usual = MaterialKind::MetallicRoughness { color: DVec3::ONE, metallic: 1.0, roughness: 1.0 };
+    let (found, scene) = material(json!({}));
+    assert_eq!((found.kind, scene.materials[1].kind), (usual, usual));
+}
+
+#[test]
 fn transmission_makes_glass_of_the_index_given() {
     let glass = |factor: f64, ior: Value| {
         json!({ "pbrMetallicRoughness": { "baseColorFactor": [1, 0.5, 0.25, 1], "roughnessFactor": 0 }, "extensions": {
@@ -44,6 +56,9 @@ fn transmission_makes_glass_of_the_index_given() {
     assert_eq!(kind(glass(1.0, json!({ "ior": 1.25 }))), MaterialKind::Dielectric { tint, ior: 1.25 });
     assert_eq!(kind(glass(1.0, json!({}))), MaterialKind::Dielectric { tint, ior: 1.5 });
     assert_eq!(kind(glass(1.0, json!({ "ior": 0 }))), MaterialKind::Dielectric { tint, ior: 10.0 });
+    let mut rough = glass(1.0, json!({}));
+    rough["pbrMetallicRoughness"]["roughnessFactor"] = json!(0.25);
+    assert_eq!(kind(rough), MaterialKind::RoughDielectric { tint, ior: 1.5, roughness: 0.25 });
     assert!(!matches!(kind(glass(0.0, json!({}))), MaterialKind::Dielectric { .. }));
     let (half, scene) = material(glass(0.5, json!({})));
     assert!(

@@ -5,5 +5,6 @@ mod accessors;
 mod builder;
 mod hostile;
 mod materials;
+mod textures;
 mod transforms;
 mod views;
