@@ -77,7 +77,8 @@ def register():
             active &= light.pdf > 0
             value, pdf = bsdf.eval_pdf(context, si, si.to_local(light.d), active)
             first = scene.ray_intersect(self.leave(si, light.d), active)
-            seen = active & (first.emitter(scene, active) == light.emitter) & first.is_valid()
+            # Nothing met is the sky.
+            seen = active & (first.emitter(scene, active) == light.emitter)
             mis = power(light.pdf, dr.select(light.delta, 0, pdf))
             return dr.select(seen, value * weight * mis, 0)
 

@@ -85,12 +85,15 @@ fn ball(material: SceneMaterial) -> Scene {
 }
 
 /// Each material kind, with the prefix of its functions in the kernels.
-fn kinds() -> [(&'static str, SceneMaterial); 4] {
+fn kinds() -> [(&'static str, SceneMaterial); 7] {
     [
         ("diffuse_", SceneMaterial::diffuse([0.5; 3])),
         ("mirror_", SceneMaterial::mirror([0.5; 3], 0.5)),
         ("glossy_", SceneMaterial::glossy([0.5; 3], 10.0)),
         ("dielectric_", SceneMaterial::dielectric([1.0; 3], 1.5)),
+        ("metal_", SceneMaterial::metal([0.5; 3], 0.5)),
+        ("metallic_roughness_", SceneMaterial::metallic_roughness([0.5; 3], 0.5, 0.5)),
+        ("rough_dielectric_", SceneMaterial::rough_dielectric([1.0; 3], 1.5, 0.5)),
     ]
 }
 
@@ -170,7 +173,15 @@ fn without_meshes_nothing_of_triangles_is_linked() {
 
 #[test]
 fn every_stage_links_and_validates_for_every_kind_of_scene() {
-    for name in ["cornell-box", "bansal-room-1", "furnace-open", "glass-caustic", "glossy-box"] {
+    for name in [
+        "cornell-box",
+        "bansal-room-1",
+        "furnace-open",
+        "glass-caustic",
+        "glossy-box",
+        "metal-spheres",
+        "rough-glass",
+    ] {
         let compiled = CompiledScene::new(&scene(name));
         for direct_light in [false, true] {
             let unguided = [Roulette::Off, Roulette::Throughput].map(|roulette| (GuideMode::Off, roulette));
@@ -315,6 +326,10 @@ fn constants_shared_with_the_kernels_are_equal() {
         ("KIND_MIRROR", f64::from(compiled::KIND_MIRROR)),
         ("KIND_GLOSSY", f64::from(compiled::KIND_GLOSSY)),
         ("KIND_DIELECTRIC", f64::from(compiled::KIND_DIELECTRIC)),
+        ("KIND_METAL", f64::from(compiled::KIND_METAL)),
+        ("KIND_METALLIC_ROUGHNESS", f64::from(compiled::KIND_METALLIC_ROUGHNESS)),
+        ("KIND_ROUGH_DIELECTRIC", f64::from(compiled::KIND_ROUGH_DIELECTRIC)),
+        ("LEAST_ALPHA", f64::from(compiled::LEAST_ALPHA)),
         ("NONE", f64::from(compiled::NONE)),
         ("ROULETTE_FROM_BOUNCE", f64::from(ROULETTE_FROM_BOUNCE)),
         ("RELATIVE_OFFSET", f64::from(RELATIVE_OFFSET)),
@@ -374,18 +389,51 @@ fn a_scene_links_the_functions_of_its_own_materials_only() {
     for (own, material) in kinds() {
         for (kernel, wgsl) in linked(&ball(material), &usual()) {
             let functions = names(&wgsl);
-            for (other, _) in kinds().iter().filter(|(other, _)| *other != own) {
+            // Rough glass that hardly bends is smooth glass.
+            let part = |other: &str| own == "rough_dielectric_" && other == "dielectric_";
+            for (other, _) in kinds().iter().filter(|(other, _)| *other != own && !part(other)) {
                 let foreign: Vec<_> = functions.iter().filter(|f| f.starts_with(other)).collect();
                 assert!(foreign.is_empty(), "{kernel} of a scene with {own}* only has {foreign:?}");
             }
         }
     }
-    // Negative control: a scene with all four has all four.
-    let all: BTreeSet<String> =
-        linked(&scene("bansal-room-1"), &usual()).iter().flat_map(|(_, wgsl)| names(wgsl)).collect();
+    // Negative control: scenes with all of them have all of them.
+    let scenes = ["bansal-room-1", "metal-spheres", "rough-glass"];
+    let all: BTreeSet<String> = scenes
+        .iter()
+        .flat_map(|name| linked(&scene(name), &usual()))
+        .flat_map(|(_, wgsl)| names(&wgsl))
+        .collect();
     for (prefix, _) in kinds() {
         assert!(all.iter().any(|f| f.starts_with(prefix)), "no {prefix}* where there should be");
     }
+}
+
+/// The third row of a material is read, facets are drawn, and shadow rays leave on the far side only where a material asks
+/// for it.
+#[test]
+fn without_microfacets_nothing_of_them_is_linked() {
+    let of_facets = ["alpha_of", "ggx_density", "sample_visible_facet", "smith_root", "to_local", "weighed"];
+    let holds = |wgsl: &str| {
+        let names = names(wgsl);
+        let functions = of_facets.iter().filter(|name| names.contains(**name)).count();
+        (functions, wgsl.contains("rough = scene_rows"), wgsl.contains("origin = spawn_ray(surface, -"))
+    };
+    for name in ["cornell-box", "bansal-room-1", "glass-shelf", "furnace-open"] {
+        for (kernel, wgsl) in linked(&scene(name), &usual()) {
+            assert_eq!(holds(&wgsl), (0, false, false), "{kernel} of {name}");
+        }
+    }
+    // Of a scene with metal and diffuse walls, shading of the walls neither.
+    let kernels = linked(&scene("rough-glass"), &usual());
+    let of = |stage: &str| {
+        let (_, wgsl) = kernels.iter().find(|(kernel, _)| kernel.starts_with(stage)).unwrap();
+        holds(wgsl)
+    };
+    assert_eq!(of("shade_diffuse"), (0, false, false));
+    // Negative control: where they are, they are found.
+    assert_eq!(of("shade_metal "), (of_facets.len(), true, false));
+    assert_eq!(of("shade_rough_dielectric"), (of_facets.len(), true, true));
 }
 
 #[test]

@@ -107,7 +107,7 @@ impl Seen {
     fn oracle(&self, [normal, wo, wi]: [DVec3; 3]) -> Answer {
         let z = normal.normalize();
         let x = z.any_orthonormal_vector();
-        let local = |d: DVec3| DVec3::new(d.dot(x), d.dot(z.cross(x)), d.dot(z)).normalize();
+        let local = |d: DVec3| DVec3::new(d.dot(x), d.dot(z.cross(x)), d.dot(z));
         let color = [COLOR.x, luminance(COLOR)].map(f64::from);
         self.rough().evaluate(color, self.alpha(), local(wo), local(wi))
     }
@@ -127,7 +127,7 @@ pub fn scattered([a, b, c]: [Row; 3]) -> Scattered {
     Scattered { wi, pdf, weight, value, evaluated }
 }
 
-/// The first `count` draws, and what is said of them: they are asked about in turn.
+/// The first `count` draws.
 pub fn draws(
     twins: &ScatterTwins,
     side: Side,
@@ -135,19 +135,15 @@ pub fn draws(
     (normal, wo): (Vec3, Vec3),
     count: u32,
 ) -> Vec<Scattered> {
-    let ask = |wi: &dyn Fn(usize) -> Vec3| -> Vec<Scattered> {
-        let questions: Vec<_> = (0..count).map(|i| seen.question(normal, wo, i, wi(i as usize))).collect();
-        twins.answer(side, &questions).into_iter().map(scattered).collect()
-    };
-    let drawn = ask(&|_| Vec3::Z);
-    ask(&|i| drawn[i].wi)
+    let questions: Vec<_> = (0..count).map(|i| seen.question(normal, wo, i, Vec3::Z)).collect();
+    twins.answer(side, &questions).into_iter().map(scattered).collect()
 }
 
 /// A normal, and directions to the viewer from overhead to grazing.
 fn geometries() -> [(Vec3, Vec3); 3] {
     let normal = Vec3::new(0.3, -0.5, 0.8).normalize();
     let at = |cos: f64, phi: f64| (normal, to_world(above(cos, phi).as_vec3(), normal).normalize());
-    [at(0.999, 0.3), at(0.5, 1.0), at(0.05, 4.0)]
+    [at(0.999, 0.3), at(0.5, 1.0), at(0.2, 4.0)]
 }
 
 /// What is drawn follows the density, and what is lost below the horizon is what it lacks to one.
@@ -173,8 +169,8 @@ fn rough_directions_follow_their_density() {
             let integral: f64 = integrals.iter().sum();
             assert!(integral < 1.002, "{seen:?}: the density integrates to {integral}");
             let side = SIDES[(m + g) % 2];
-            let drawn = draws(&twins, side, seen, (normal, wo), 1 << 17);
-            let lost = drawn.iter().filter(|s| s.pdf <= 0.0).count() as f64 / f64::from(1 << 17);
+            let drawn = draws(&twins, side, seen, (normal, wo), 1 << 18);
+            let lost = drawn.iter().filter(|s| s.pdf <= 0.0).count() as f64 / f64::from(1 << 18);
             assert!((integral + lost - 1.0).abs() < 6e-3, "{seen:?}: {integral} and {lost} lost");
             let drawn: Vec<_> = drawn.iter().map(|s| (s.pdf > 0.0).then_some(s.wi)).collect();
             cells.are_followed(&format!("{side:?}: {seen:?}, geometry {g}"), &drawn, &integrals);
@@ -202,7 +198,7 @@ fn facets_are_drawn_as_they_are_seen() {
             // Negative control: facets as they lie, not as they are seen.
             let lying = cells.integrate(|m| f64::from(m.z) * std::f64::consts::FRAC_1_PI);
             let p = cells.p_value(drawn.iter().copied(), &lying);
-            assert!(p < WRONG || cos == 1.0, "{what}: p = {p}");
+            assert!(p < WRONG || cos == 1.0 || roughness < 0.3, "{what}: p = {p}");
         }
     }
 }
@@ -257,23 +253,17 @@ fn rough_materials_answer_as_f64_does() {
                     continue;
                 }
                 compared += 1;
-                assert!(
-                    (s.evaluated / s.pdf - 1.0).abs() < 1e-5,
-                    "{side:?}, {seen:?}: {} drawn, {} evaluated",
-                    s.pdf,
-                    s.evaluated
-                );
-                let found = Answer { value: s.value.x.into(), pdf: s.evaluated.into() };
-                let weight = f64::from(s.weight.x) * found.pdf / found.value - 1.0;
-                assert!(weight.abs() < 16.0 * ROUNDING, "{side:?}, {seen:?}: weight {weight:e} off");
-                let roundings = worst.see(off(&seen, [n, o, s.wi], found));
-                let told = || seen.oracle([n, o, s.wi].map(|v| v.as_dvec3()));
-                assert!(
-                    roundings < 12.0,
-                    "{side:?}, {seen:?}, cosθ {}: {found:?} for {:?}",
-                    n.dot(o),
-                    told()
-                );
+                let evaluated = Answer { value: s.value.x.into(), pdf: s.evaluated.into() };
+                let drawn = Answer { value: f64::from(s.weight.x) * f64::from(s.pdf), pdf: s.pdf.into() };
+                for found in [evaluated, drawn] {
+                    let roundings = worst.see(off(&seen, [n, o, s.wi], found));
+                    let exact = seen.oracle([n, o, s.wi].map(|v| v.as_dvec3()));
+                    assert!(
+                        roundings < 4.0,
+                        "{side:?}, {seen:?}, cosθ {}: {found:?} for {exact:?}",
+                        n.dot(o)
+                    );
+                }
             }
             println!("{side:?}: {seen:?}: {:.1} of what roundings may do, {compared} compared", worst.get());
             assert!(compared > 2000, "{seen:?}: {compared}");
@@ -331,9 +321,9 @@ fn rough_materials_scatter_both_ways_alike() {
                     continue;
                 }
                 alike += 1;
-                assert!((f / g - 1.0).abs() < 2e-3, "{side:?}, {seen:?}, {a} and {b}: {f} and {g}");
+                assert!((f - g).abs() < 2e-3 * g + 1e-6, "{side:?}, {seen:?}, {a} and {b}: {f} and {g}");
             }
-            assert!(alike > 100, "{side:?}, {seen:?}: {alike}");
+            assert!(alike > 50, "{side:?}, {seen:?}: {alike}");
         }
     }
 }
@@ -376,7 +366,7 @@ fn rough_materials_stay_finite_at_every_extreme() {
                 let unit = (s.wi.length() - 1.0).abs() < 1e-5;
                 let squeezed = if s.wi.z < 0.0 { 1.0 / (seen.eta() * seen.eta()) } else { 1.0 };
                 // The weight of a mixture may be more than one, but not by much: see the albedos.
-                let most = if seen.kind == KIND_METALLIC_ROUGHNESS { 30.0 } else { 1.0 + 1e-5 };
+                let most = if seen.kind == KIND_METALLIC_ROUGHNESS { 3.0 } else { 1.0 + 1e-5 };
                 let weight = f64::from(s.weight.max_element()) / squeezed.max(1.0);
                 worst.see(if *o > 0.0 { weight } else { 0.0 });
                 let fair = s.weight.min_element() >= 0.0 && (*o <= 0.0 || weight <= most);

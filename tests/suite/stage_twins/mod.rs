@@ -123,6 +123,12 @@ fn stages_answer_as_their_twins_do_among_every_material() {
 }
 
 #[test]
+fn stages_answer_as_their_twins_do_among_rough_materials() {
+    stages_answer_as_their_twins_do("metal-spheres");
+    stages_answer_as_their_twins_do("rough-glass");
+}
+
+#[test]
 fn stages_answer_as_their_twins_do_behind_a_door() {
     stages_answer_as_their_twins_do("door-ajar");
 }
@@ -159,7 +165,7 @@ fn stages_answer_as_their_twins_do_when_guided() {
 #[test]
 fn a_twin_that_is_told_something_else_is_reported() {
     type Lie = fn(&mut CompiledScene, &mut Uniforms);
-    let lies: [(&str, Lie); 10] = [
+    let lies: [(&str, Lie); 14] = [
         ("generate", |_, uniforms| uniforms.seed += 1),
         ("generate", |_, uniforms| uniforms.camera_right *= 1.00001),
         ("intersect", |scene, _| scene.spheres[3].radius *= 1.0001),
@@ -168,12 +174,21 @@ fn a_twin_that_is_told_something_else_is_reported() {
         ("shade_mirror", |scene, _| scene.materials.iter_mut().for_each(|m| m.parameter *= 0.99)),
         ("shade_glossy", |scene, _| scene.materials.iter_mut().for_each(|m| m.parameter *= 1.001)),
         ("shade_dielectric", |scene, _| scene.materials.iter_mut().for_each(|m| m.parameter *= 1.0001)),
+        ("shade_metal", |scene, _| scene.materials.iter_mut().for_each(|m| m.roughness *= 1.001)),
+        ("shade_metallic_roughness", |scene, _| scene.materials.iter_mut().for_each(|m| m.metallic += 0.01)),
+        ("shade_rough_dielectric", |scene, _| scene.materials.iter_mut().for_each(|m| m.roughness *= 1.001)),
+        ("shade_rough_dielectric", |scene, _| scene.materials.iter_mut().for_each(|m| m.parameter *= 1.0001)),
         ("shade_diffuse", |_, uniforms| uniforms.roulette_scale *= 0.9),
         ("shadow", |scene, _| scene.spheres.iter_mut().for_each(|sphere| sphere.radius *= 1.01)),
     ];
     for (i, (stage_name, lie)) in lies.iter().enumerate() {
         let mut faults = 0;
-        compare("glass-shelf", &options(Schedule::Streamed), lie, |_, stage, report| {
+        let name = match *stage_name {
+            "shade_metal" | "shade_metallic_roughness" => "metal-spheres",
+            "shade_rough_dielectric" => "rough-glass",
+            _ => "glass-shelf",
+        };
+        compare(name, &options(Schedule::Streamed), lie, |_, stage, report| {
             faults += if stage.name() == *stage_name { report.faults.len() } else { 0 };
         });
         println!("lie {i}: {faults} faults in {stage_name}");
