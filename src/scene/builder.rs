@@ -8,7 +8,9 @@ use super::boxes::box_quads;
 use super::description::{MaterialNames, material_index};
 use super::error::Fault;
 use super::validate::{self, shape_label};
-use super::{Camera, Defaults, Geometry, Material, Mesh, MeshData, Placement, Scene, SceneError, Shape, Texture};
+use super::{
+    Camera, Defaults, Geometry, Material, Mesh, MeshData, Placement, Scene, SceneError, Shape, Texture,
+};
 
 /// Makes a [`Scene`] step by step; nothing is checked before [`build`](Self::build). Order is free, shapes may come
 /// before their materials.

@@ -165,7 +165,8 @@ fn textures(fields: &Fields<'_>, files: &mut TextureFiles<'_>) -> Result<Materia
     };
     let mut texture = |key: &str| -> Result<Option<TextureRef>, Fault> {
         let Some(name) = fields.get::<String>(key)? else { return Ok(None) };
-        let number = files.number(&name).map_err(|problem| Fault::new(line(key), format!("{key}: {problem}")))?;
+        let number =
+            files.number(&name).map_err(|problem| Fault::new(line(key), format!("{key}: {problem}")))?;
         Ok(Some(TextureRef { texture: number, wrap_u: wrap, wrap_v: wrap }))
     };
     Ok(MaterialTextures {
@@ -186,10 +187,7 @@ fn material_kind(fields: &Fields<'_>) -> Result<MaterialKind, Fault> {
         }
         "mirror" => {
             only_of_material(fields, &["color", "level"])?;
-            Ok(MaterialKind::Mirror {
-                color: color(fields)?,
-                level: fields.get("level")?.unwrap_or(1.0),
-            })
+            Ok(MaterialKind::Mirror { color: color(fields)?, level: fields.get("level")?.unwrap_or(1.0) })
         }
         "glossy" => {
             only_of_material(fields, &["color", "exponent"])?;
@@ -290,8 +288,10 @@ fn meshed(fields: &Fields<'_>, folder: Option<&Path>) -> Result<Geometry, Fault>
     match fields.get("smooth")? {
         Some(false) => data.normals.clear(),
         Some(true) if data.normals.is_empty() => {
-            let problem =
-                format!("smooth needs normals, which file {} does not have; write it with them", quoted(&file));
+            let problem = format!(
+                "smooth needs normals, which file {} does not have; write it with them",
+                quoted(&file)
+            );
             return Err(fields.broken(problem));
         }
         _ => {}

@@ -11,19 +11,15 @@ use crate::math::mirrored;
 use glam::{Vec2, Vec3};
 
 /// Largest of the 16-bit numbers of a packed normal.
-const PACKED_ONE: f32 = 32767.0;
+pub const PACKED_ONE: f32 = 32767.0;
 /// Cosine that a shading normal has with that of the shape at least, and a mirror direction too, but half the viewer's where
 /// that is less.
-const LEAST_COSINE: f32 = 0.01;
+pub const LEAST_COSINE: f32 = 0.01;
 
 /// A unit vector on the octahedron unfolded to a square (Meyer et al. 2010), two 16-bit numbers: within 4e-5 of it.
 pub fn packed_normal(normal: Vec3) -> u32 {
     let [x, y, z] = (normal / normal.abs().element_sum()).to_array();
-    let [x, y] = if z >= 0.0 {
-        [x, y]
-    } else {
-        [(1.0 - y.abs()).copysign(x), (1.0 - x.abs()).copysign(y)]
-    };
+    let [x, y] = if z >= 0.0 { [x, y] } else { [(1.0 - y.abs()).copysign(x), (1.0 - x.abs()).copysign(y)] };
     let word = |v: f32| u32::from((v * PACKED_ONE).round() as i16 as u16);
     word(x) | word(y) << 16
 }
@@ -79,7 +75,13 @@ pub fn triangle_tangents(uvs: &TriangleUvs, a: Vec3, b: Vec3, c: Vec3) -> Tangen
     let d1 = Vec2::new(uvs.u_b - uvs.u_a, uvs.v_b - uvs.v_a);
     let d2 = Vec2::new(uvs.u_c - uvs.u_a, uvs.v_c - uvs.v_a);
     let turn = d1.x * d2.y - d1.y * d2.x;
-    let side = if turn > 0.0 { 1.0 } else if turn < 0.0 { -1.0 } else { 0.0 };
+    let side = if turn > 0.0 {
+        1.0
+    } else if turn < 0.0 {
+        -1.0
+    } else {
+        0.0
+    };
     Tangents { u: (e1 * d2.y - e2 * d1.y) * side, up: (e1 * d2.x - e2 * d1.x) * side }
 }
 

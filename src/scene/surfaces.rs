@@ -1,13 +1,13 @@
 //! What surfaces have besides where they are, as the kernels read it: normals and texture coordinates at the corners of
 //! triangles, and textures. Every part is empty where nothing in the scene needs it.
 
+use super::Wrap;
+use super::compiled::NONE;
 use super::rows::Row;
 use super::shading::packed_normal;
+use super::texels::{WRAP_CLAMP, WRAP_MIRROR, WRAP_REPEAT, WRAP_U_SHIFT, WRAP_V_SHIFT};
 use super::texture::{MaterialTextures, Texture, TextureRef};
 use super::{Geometry, Material, Mesh, Scene};
-use super::compiled::NONE;
-use super::texels::{WRAP_CLAMP, WRAP_MIRROR, WRAP_REPEAT, WRAP_U_SHIFT, WRAP_V_SHIFT};
-use super::Wrap;
 use crate::gpu_struct;
 use glam::{DVec3, Vec3};
 

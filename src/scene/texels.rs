@@ -54,8 +54,7 @@ fn texels_around(scene: &CompiledScene, texture: u32, uv: Vec2) -> Texels {
     let x = within(uv.x, wrap_u) * image.width as f32 - 0.5;
     let y = within(uv.y, wrap_v) * image.height as f32 - 0.5;
     let (column, row) = (x.floor(), y.floor());
-    let (left, right) =
-        (wrapped(column as i32, width, wrap_u), wrapped(column as i32 + 1, width, wrap_u));
+    let (left, right) = (wrapped(column as i32, width, wrap_u), wrapped(column as i32 + 1, width, wrap_u));
     let (upper, lower) = (wrapped(row as i32, height, wrap_v), wrapped(row as i32 + 1, height, wrap_v));
     let words = UVec4::new(
         texel(scene, image, left, upper),
@@ -120,7 +119,12 @@ pub fn textured(scene: &CompiledScene, material: u32, surface: &mut Surface) -> 
 
 /// The material as its textures make it there.
 #[inline]
-pub fn textured_material(scene: &CompiledScene, material: &Material, maps: &MaterialMaps, uv: Vec2) -> Material {
+pub fn textured_material(
+    scene: &CompiledScene,
+    material: &Material,
+    maps: &MaterialMaps,
+    uv: Vec2,
+) -> Material {
     let mut there = *material;
     if maps.color != NONE {
         there.color *= texture_color(scene, maps.color, uv);

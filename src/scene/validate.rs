@@ -198,7 +198,9 @@ fn takes_textures(shape: &Shape, material: &Material) -> Check {
         Geometry::Quad { .. } => Ok(()),
         Geometry::Sphere { .. } => Err(format!("{label} has textures, which spheres can't take; use a mesh")),
         Geometry::Mesh(mesh) => ensure(mesh.has_uvs(), || {
-            format!("{label} has textures, but the mesh no texture coordinates; write it with them, or use another material")
+            format!(
+                "{label} has textures, but the mesh no texture coordinates; write it with them, or use another material"
+            )
         }),
     }
 }

@@ -106,7 +106,8 @@ impl Mesh {
         let given = self.is_smooth().then_some(&self.triangles);
         given.into_iter().flatten().map(|triangle| {
             let own = self.face_normal(triangle);
-            triangle.map(|corner| Some(self.normals[corner as usize]).filter(|n| n.dot(own) > 0.0).unwrap_or(own))
+            triangle
+                .map(|corner| Some(self.normals[corner as usize]).filter(|n| n.dot(own) > 0.0).unwrap_or(own))
         })
     }
 

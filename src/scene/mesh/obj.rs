@@ -16,7 +16,8 @@ pub(super) fn read(mut source: impl BufRead) -> Result<MeshData, String> {
     // A byte order mark would make the first line one that is skipped.
     let text = plain_lines(text.trim_start_matches('\u{feff}'));
     // A corner for each normal and each texture coordinate that a position is used with.
-    let options = LoadOptions { single_index: true, triangulate: true, ignore_points: true, ignore_lines: true };
+    let options =
+        LoadOptions { single_index: true, triangulate: true, ignore_points: true, ignore_lines: true };
     let no_materials = |_: &std::path::Path| Err(LoadError::OpenFileFailed);
     let (models, _) = tobj::load_obj_buf(&mut text.as_bytes(), &options, no_materials).map_err(problem)?;
     let mut data = MeshData::default();

@@ -103,7 +103,9 @@ pub(in crate::scene) fn check_size(width: u32, height: u32) -> Result<(), String
     let problem = match (width.min(height), width.max(height)) {
         (0, _) => "has no texels; give it 1 at least",
         (_, longest) if longest > LONGEST_SIDE => "has a side above 16384; reduce the image",
-        _ if u64::from(width) * u64::from(height) > MOST_TEXELS => "has more than 2^26 texels; reduce the image",
+        _ if u64::from(width) * u64::from(height) > MOST_TEXELS => {
+            "has more than 2^26 texels; reduce the image"
+        }
         _ => return Ok(()),
     };
     Err(format!("is {width} x {height}: {problem}"))

@@ -66,7 +66,8 @@ fn white_smooth_surfaces_never_outshine_the_bright_box_around_them() {
                 let (mut e1, mut e2) = (DVec3::ZERO, DVec3::ZERO);
                 (e1[(axis + 1) % 3], e2[(axis + 2) % 3]) = (10.0, -side * 10.0);
                 let mut corner = DVec3::ZERO;
-                (corner[axis], corner[(axis + 1) % 3], corner[(axis + 2) % 3]) = (5.0 * side, -5.0, 5.0 * side);
+                (corner[axis], corner[(axis + 1) % 3], corner[(axis + 2) % 3]) =
+                    (5.0 * side, -5.0, 5.0 * side);
                 builder = builder.quad(corner, e1, e2, "lamp");
             }
         }
@@ -84,7 +85,13 @@ fn white_smooth_surfaces_never_outshine_the_bright_box_around_them() {
 
 /// A cube whose corners have the normals of a sphere: 55° off those of its sides.
 fn round_cube() -> MeshData {
-    let corner = |i: u32| DVec3::new([-1.0, 1.0][i as usize & 1], [-1.0, 1.0][i as usize >> 1 & 1], [-1.0, 1.0][i as usize >> 2]);
+    let corner = |i: u32| {
+        DVec3::new(
+            [-1.0, 1.0][i as usize & 1],
+            [-1.0, 1.0][i as usize >> 1 & 1],
+            [-1.0, 1.0][i as usize >> 2],
+        )
+    };
     let positions: Vec<DVec3> = (0..8).map(corner).collect();
     let sides = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
     let triangles = sides.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
@@ -112,7 +119,8 @@ fn a_sealed_cube_with_round_normals_is_black_inside() {
 fn a_lamp_outside_a_sealed_cube_does_not_light_its_inside() {
     let lamp = Material::diffuse([0.0; 3]).emitting([1e4; 3]);
     let builder = Scene::builder("lamp outside").material("wall", white()).material("lamp", lamp);
-    let builder = builder.camera([0.3, -0.2, 0.5], [-1.0, -0.4, -0.3], 90.0).sphere([0.0, 4.0, 1.0], 1.0, "lamp");
+    let builder =
+        builder.camera([0.3, -0.2, 0.5], [-1.0, -0.4, -0.3], 90.0).sphere([0.0, 4.0, 1.0], 1.0, "lamp");
     let scene = builder.mesh(round_cube(), "wall").build().unwrap();
     for engine in [Engine::Cpu, Engine::Wavefront(qtracer::gpu::stage::Schedule::Streamed)] {
         let image = render(&scene, engine, &options(true), 16).image;

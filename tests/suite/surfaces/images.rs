@@ -87,8 +87,11 @@ fn textured_surfaces_look_like_their_images() {
             }
             .build()
             .unwrap();
-            let options =
-                RenderOptions { max_bounces: Some(2), roulette: Some(Roulette::Off), ..small(SIDE, SIDE, 67) };
+            let options = RenderOptions {
+                max_bounces: Some(2),
+                roulette: Some(Roulette::Off),
+                ..small(SIDE, SIDE, 67)
+            };
             for engine in [Engine::Cpu, Engine::Megakernel] {
                 let image = render(&scene, engine, &options, 64).image;
                 let (worst, turned) = (worst_z(&image, &expected(false)), worst_z(&image, &expected(true)));
@@ -162,7 +165,10 @@ fn a_textured_lamp_lights_as_its_integral_says() {
             };
             let (mean, error) = of(false);
             println!("direct light {direct_light}, {engine:?}: {mean:.5} ({error:.1e}) for {expected:.5}");
-            assert!((mean / expected - 1.0).abs() < 4.0 * error + 1e-3, "{mean} for {expected}, s.e. {error}");
+            assert!(
+                (mean / expected - 1.0).abs() < 4.0 * error + 1e-3,
+                "{mean} for {expected}, s.e. {error}"
+            );
             // Negative control: the lamp's image the other way around.
             assert!((of(true).0 / expected - 1.0).abs() > 0.1);
         }
@@ -186,14 +192,15 @@ fn textured_lamps_are_chosen_by_their_mean() {
     assert!((chances[0] - 2.0 / 3.0).abs() < 1e-6 && (chances[1] - 1.0 / 3.0).abs() < 1e-6, "{chances:?}");
     // What is textured is another picture.
     let other = |texel: u8| {
-        let builder = unseen().texture(image(1, &[[texel; 3]])).material("m", white().textured(color_texture(0)));
+        let builder =
+            unseen().texture(image(1, &[[texel; 3]])).material("m", white().textured(color_texture(0)));
         CompiledScene::new(&builder.mesh(square(), "m").build().unwrap()).light_fingerprint()
     };
     assert_ne!(other(1), other(2));
 }
 
 /// Smooth and flat meshes and quads, of every material; textures for colour, light and normals; some meshes with neither.
-fn everything() -> Scene {
+pub fn everything() -> Scene {
     let of = |i: usize| Some(TextureRef { texture: i, wrap_u: Wrap::Mirror, wrap_v: Wrap::Repeat });
     let bumps: Vec<[u8; 3]> = (0..16).map(|i| [100 + 4 * i, 160 - 5 * i, 230]).collect();
     let color = MaterialTextures { color: of(0), ..Default::default() };
@@ -257,7 +264,7 @@ fn engines_agree_on_every_kind_of_surface() {
     }
 }
 
-/// Guides change the noise, not the answer; nor do shadow rays: |z| of each channel's mean stays below 4, α = 4e-4 in all.
+/// Guides change the noise, not the answer; nor do shadow rays: |z| of each channel's mean stays below 4, α = 6e-4 in all.
 #[test]
 fn guides_and_shadow_rays_agree_on_every_kind_of_surface() {
     let scene = everything();
@@ -268,14 +275,16 @@ fn guides_and_shadow_rays_agree_on_every_kind_of_surface() {
         render(&scene, Engine::Cpu, &options, 254).image
     };
     let plain = with(GuideMode::Off, true, 79);
-    for (mode, direct_light) in [(GuideMode::Off, false), (GuideMode::Adaptive, true), (GuideMode::Octant, true)] {
+    for (mode, direct_light) in
+        [(GuideMode::Off, false), (GuideMode::Adaptive, true), (GuideMode::Octant, true)]
+    {
         let z = mean_z(&with(mode, direct_light, 83), &plain);
-        println!("{mode}, direct light {direct_light}: z {z:?}");
-        assert!(z.iter().all(|z| z.abs() < 4.0), "{mode}, direct light {direct_light}: {z:?}");
+        println!("{mode}, direct light {direct_light}: z {z:.2}");
+        assert!(z < 4.0, "{mode}, direct light {direct_light}: {z}");
     }
     // Negative control: a tenth more light.
     let z = mean_z(&brightened(&with(GuideMode::Off, true, 89), 1.1), &plain);
-    assert!(z.iter().any(|z| z.abs() > 4.0), "{z:?}");
+    assert!(z > 4.0, "{z}");
 }
 
 /// The layer of albedo shows the texture, that of normals the smooth normal.

@@ -2,7 +2,8 @@
 //! themselves and by their twins, against f64 and against laws of light.
 
 mod energy;
-mod images;
+mod errors;
+pub mod images;
 mod normals;
 mod texels;
 

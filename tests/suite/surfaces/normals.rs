@@ -48,7 +48,8 @@ fn aimed(numbers: &mut Numbers, data: &MeshData, i: usize) -> Aimed {
         [a, b, c].iter().zip(shares).map(|(&corner, share)| v(corner) * share).sum()
     };
     let p = between(&|corner| data.positions[corner].as_vec3().as_dvec3());
-    let own = (data.positions[b] - data.positions[a]).cross(data.positions[c] - data.positions[a]).normalize();
+    let own =
+        (data.positions[b] - data.positions[a]).cross(data.positions[c] - data.positions[a]).normalize();
     let (direction, t) = ((-own).as_vec3(), 2.0f32);
     let origin = p.as_vec3() - direction * t;
     let uv = [0, 1].map(|k| [a, b, c].iter().zip(shares).map(|(&i, s)| f64::from(data.uvs[i][k]) * s).sum());
@@ -95,7 +96,7 @@ fn normals_and_coordinates_are_those_between_the_corners() {
             worst[twin] = [worst[twin][0].max(normal_error), worst[twin][1].max(uv_error)];
         }
     }
-    println!("worst errors of normals and coordinates: CPU {:.1e?}, kernels {:.1e?}", worst[0], worst[1]);
+    println!("worst errors of normals and coordinates: CPU {:?}, kernels {:?}", worst[0], worst[1]);
     for [normal, uv] in worst {
         assert!(normal < 2e-4 && uv < NEAR_UV, "{normal:e} {uv:e}");
     }
@@ -129,7 +130,8 @@ fn some_views(count: usize) -> Vec<View> {
 }
 
 fn seen(&[shading, facing, wo]: &View, kind: u32) -> Vec3 {
-    let surface = Surface { shading_normal: floats(shading).0, ..Surface::plain(Vec3::ZERO, floats(facing).0, 0.0) };
+    let surface =
+        Surface { shading_normal: floats(shading).0, ..Surface::plain(Vec3::ZERO, floats(facing).0, 0.0) };
     viewed_normal(&surface, floats(facing).0, true, floats(wo).0, kind)
 }
 
@@ -270,7 +272,8 @@ fn normal_maps_tilt_normals_along_the_image() {
     let imports = "import package::scene::shapes::{Hit, Ray, surface_at};
         import package::scene::data::material_maps_at;
         import package::scene::shading::mapped_normal;";
-    let body = "let surface = surface_at(Ray(bitcast<vec3<f32>>(a.xyz), bitcast<vec3<f32>>(b.xyz)), Hit(2.0, a.w));
+    let body =
+        "let surface = surface_at(Ray(bitcast<vec3<f32>>(a.xyz), bitcast<vec3<f32>>(b.xyz)), Hit(2.0, a.w));
         out0 = vec4<u32>(bitcast<vec3<u32>>(mapped_normal(surface, material_maps_at(b.w))), 0u);";
     let probe = Probe::<2, 1>::new(&gpu, &key(&scene), imports, body);
     let kernels = ask(&gpu, &probe, &scene, &[], &questions);
@@ -278,7 +281,12 @@ fn normal_maps_tilt_normals_along_the_image() {
         let mut surface = surface_at(&scene, Ray { origin, direction }, Hit { t: 2.0, shape: a[3] });
         textured(&scene, b[3], &mut surface);
         for normal in [surface.shading_normal, floats(kernel).0] {
-            assert!(normal.distance(expected) < 1e-6, "shape {}, map {}: {normal} for {expected}", a[3], b[3]);
+            assert!(
+                normal.distance(expected) < 1e-6,
+                "shape {}, map {}: {normal} for {expected}",
+                a[3],
+                b[3]
+            );
         }
     }
 }

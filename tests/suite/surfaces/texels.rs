@@ -124,7 +124,8 @@ fn worst_error(textures: &[Texture], cases: &[Case], answers: &[[Vec3; 2]]) -> [
     let mut worst = [0.0f64; 2];
     for (case, found) in cases.iter().zip(answers) {
         let uv = case.uv.map(f64::from);
-        for (k, value, scale) in [(0, decoded as fn(u8) -> f64, 1.0), (1, f64::from as fn(u8) -> f64, 255.0)] {
+        for (k, value, scale) in [(0, decoded as fn(u8) -> f64, 1.0), (1, f64::from as fn(u8) -> f64, 255.0)]
+        {
             let expected = bilinear(&textures[case.texture], case.wraps, uv, value);
             for c in 0..3 {
                 worst[k] = worst[k].max((f64::from(found[k][c]) - expected[c]).abs() / scale);
@@ -144,14 +145,20 @@ fn textures_are_blended_as_in_f64() {
     let twins = answers(&scene, &cases);
     for (name, answers) in ["CPU", "kernels"].iter().zip(&twins) {
         let worst = worst_error(&textures, &cases, answers);
-        println!("{} look-ups, {name}: worst errors of colours {:.1e}, of bytes {:.1e}", cases.len(), worst[0], worst[1]);
+        println!(
+            "{} look-ups, {name}: worst errors of colours {:.1e}, of bytes {:.1e}",
+            cases.len(),
+            worst[0],
+            worst[1]
+        );
         assert!(worst[0] < LOOKUP_BOUND && worst[1] < LOOKUP_BOUND, "{name}: {worst:?}");
     }
     let apart = twins[0].iter().zip(&twins[1]).map(|(a, b)| a[0].distance(b[0])).fold(0.0, f32::max);
     println!("worst difference between the twins: {apart:e}");
     assert!(apart < 2e-5, "{apart:e}");
     // Negative controls: another way to go on, or blending before decoding, is not that near.
-    let turned: Vec<Case> = cases.into_iter().map(|c| Case { wraps: [c.wraps[1], c.wraps[0]], ..c }).collect();
+    let turned: Vec<Case> =
+        cases.into_iter().map(|c| Case { wraps: [c.wraps[1], c.wraps[0]], ..c }).collect();
     assert!(worst_error(&textures, &turned, &twins[0])[0] > 0.1);
     let late = bilinear(&textures[2], [0; 2], [0.4, 0.4], f64::from).map(|v| decoded(v as u8));
     let early = bilinear(&textures[2], [0; 2], [0.4, 0.4], decoded);
