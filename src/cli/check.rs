@@ -3,6 +3,7 @@
 use super::console;
 use super::failure::Failure;
 use clap::Args;
+use qtracer::engine::SurfaceStats;
 use qtracer::gpu::key::{KIND_NAMES, KernelKey};
 use qtracer::scene::compiled::CompiledScene;
 use qtracer::scene::{Geometry, MaterialKind};
@@ -55,7 +56,7 @@ fn describe(path: &Path, scene: &Scene) -> String {
         true => " and the environment",
         false => "",
     };
-    [
+    let mut lines = vec![
         format!("{}", path.display()),
         format!("  name       {}", scene.name),
         format!("  size       {}x{}", scene.camera.width, scene.camera.height),
@@ -70,8 +71,21 @@ fn describe(path: &Path, scene: &Scene) -> String {
         format!("  materials  {}: {}", scene.materials.len(), kinds(scene)),
         format!("  lights     {}{environment}", compiled.lights.len()),
         format!("  kernels    {key}"),
-    ]
-    .join("\n")
+    ];
+    lines.extend(SurfaceStats::new(&compiled).map(|stats| surfaces(&stats)));
+    lines.join("\n")
+}
+
+/// `  surfaces   64.0 KiB of normals, 128.0 KiB of texture coordinates, 1 textures of 6.8 KiB`.
+fn surfaces(stats: &SurfaceStats) -> String {
+    let SurfaceStats { normal_bytes, uv_bytes, textures, texture_bytes } = *stats;
+    let kib = |bytes: usize| bytes as f64 / 1024.0;
+    format!(
+        "  surfaces   {:.1} KiB of normals, {:.1} KiB of texture coordinates, {textures} textures of {:.1} KiB",
+        kib(normal_bytes),
+        kib(uv_bytes),
+        kib(texture_bytes)
+    )
 }
 
 /// `1 spheres, 12 quads`, and `2 meshes of 96 triangles` where there are any.

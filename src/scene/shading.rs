@@ -11,10 +11,10 @@ use crate::math::mirrored;
 use glam::{Vec2, Vec3};
 
 /// Largest of the 16-bit numbers of a packed normal.
-const PACKED_ONE: f32 = 32767.0;
+pub const PACKED_ONE: f32 = 32767.0;
 /// Cosine that a shading normal has with that of the shape at least, and a mirror direction too, but half the viewer's where
 /// that is less.
-const LEAST_COSINE: f32 = 0.01;
+pub const LEAST_COSINE: f32 = 0.01;
 
 /// A unit vector on the octahedron unfolded to a square (Meyer et al. 2010), two 16-bit numbers: within 4e-5 of it.
 pub fn packed_normal(normal: Vec3) -> u32 {

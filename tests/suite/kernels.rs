@@ -1,6 +1,7 @@
 //! The kernels as text: they link for every key, are valid, have the layouts that Rust has, and hold only what is needed.
 
 use crate::support::{Engine, SCHEDULES, estimators, icosphere, render, root, scene, scene_names, small};
+use crate::surfaces::images::everything;
 use naga::TypeInner;
 use qtracer::film::BlockSum;
 use qtracer::gpu::key::KernelKey;
@@ -10,10 +11,12 @@ use qtracer::guiding::octant::OCTANT_DRAWS;
 use qtracer::guiding::{GuideMode, GuideUniforms, Trail, Transition, lessons, quadtree, table};
 use qtracer::layout::GpuStruct;
 use qtracer::random::{DIMENSION_CAMERA, dimension_bsdf, dimension_guide, dimension_light};
-use qtracer::scene::Material as SceneMaterial;
 use qtracer::scene::compiled::{self, CompiledScene, Light, Material, Quad, Sphere, Triangle, Uniforms};
 use qtracer::scene::shapes::{RELATIVE_OFFSET, T_MISS};
+use qtracer::scene::surfaces::{MaterialMaps, TextureImage, TriangleNormals, TriangleUvs};
 use qtracer::scene::triangle::SMALLEST_SQUARE;
+use qtracer::scene::{Geometry, Material as SceneMaterial, MaterialTextures, MeshData};
+use qtracer::scene::{shading, texels};
 use qtracer::transport::estimators::Estimators;
 use qtracer::transport::items::{HitItem, RayItem, ShadowItem};
 use qtracer::transport::path::SHADOW_END;
@@ -171,6 +174,83 @@ fn without_meshes_nothing_of_triangles_is_linked() {
     assert!(!bright.contains("sphere_at") && !bright.contains("quad_at"), "{bright:?}");
 }
 
+/// Names of what smooth normals, textures, normal maps and textured lamps need.
+const OF_SURFACES: [(&str, &[&str]); 4] = [
+    ("smooth_normals", &["triangle_normals_at", "unpacked_normal", "smooth_normal"]),
+    ("textures", &["triangle_uvs_at", "texels_around", "texel_word", "srgb_value", "textured_material"]),
+    ("normal_maps", &["mapped_normal", "triangle_tangents", "texture_bytes"]),
+    ("textured_lamps", &["uv_at", "textured_emission"]),
+];
+
+/// Each where its flag is, and nowhere else; whatever is on, stages link and are valid.
+#[test]
+fn surfaces_link_what_they_have_and_nothing_else() {
+    let everything = everything();
+    let without = |change: &dyn Fn(&mut Scene)| {
+        let mut scene = everything.clone();
+        change(&mut scene);
+        scene
+    };
+    let textures = |change: fn(&mut MaterialTextures)| {
+        without(&|scene| scene.materials.iter_mut().for_each(|material| change(&mut material.textures)))
+    };
+    let scenes = [
+        scene("mesh"),
+        scene("cornell-box"),
+        scene("surfaces"),
+        textures(|textures| *textures = MaterialTextures::default()),
+        textures(|textures| textures.normal = None),
+        textures(|textures| textures.emission = None),
+        textures(|textures| *textures = MaterialTextures { normal: textures.normal, ..Default::default() }),
+        everything.clone(),
+    ];
+    let mut met = BTreeSet::new();
+    for scene in &scenes {
+        for estimators in [usual(), learning(LEARNING[2])] {
+            let key = KernelKey::new(&CompiledScene::new(scene), &estimators);
+            let kernels = linked(scene, &estimators);
+            let all: BTreeSet<String> = kernels.iter().flat_map(|(_, wgsl)| names(wgsl)).collect();
+            for (flag, functions) in OF_SURFACES {
+                let on = key.flags().contains(&(flag, true));
+                met.insert((flag, on));
+                for name in functions {
+                    assert_eq!(all.contains(*name), on, "{name} of {flag} in {}", scene.name);
+                }
+            }
+        }
+    }
+    assert_eq!(met.len(), 2 * OF_SURFACES.len(), "each flag is on somewhere and off somewhere: {met:?}");
+}
+
+/// Rows: 1 of normals and 2 of coordinates for each triangle, if any has them; 2 for each material; for each image 1 and its
+/// texels, 4 to a row; 64 to decode colours.
+#[test]
+fn rows_of_surfaces_are_as_many_as_they_have() {
+    let count = |scene: &Scene| qtracer::scene::rows::pack(&CompiledScene::new(scene)).len();
+    let scene = scene("surfaces");
+    let (triangles, materials) = (4096, scene.materials.len());
+    let plain = without_surfaces(&scene);
+    let texels = (48 * 36) / 4;
+    assert_eq!(count(&scene) - count(&plain), 3 * triangles + 2 * materials + 1 + texels + 64);
+}
+
+/// The scene without textures, its meshes flat.
+fn without_surfaces(scene: &Scene) -> Scene {
+    let mut scene = scene.clone();
+    scene.materials.iter_mut().for_each(|material| material.textures = MaterialTextures::default());
+    for shape in &mut scene.shapes {
+        if let Geometry::Mesh(mesh) = &shape.geometry {
+            let positions: Vec<_> = mesh.triangles().flatten().map(|p| p.as_dvec3()).collect();
+            let triangles = (0..mesh.len() as u32).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
+            let data = MeshData { positions, triangles, ..Default::default() };
+            let flat = Scene::builder("flat").camera([0.0, 0.0, 1.0], [0.0; 3], 40.0);
+            let flat = flat.material("m", SceneMaterial::diffuse([0.5; 3])).mesh(data, "m").build().unwrap();
+            shape.geometry = flat.shapes[0].geometry.clone();
+        }
+    }
+    scene
+}
+
 #[test]
 fn every_stage_links_and_validates_for_every_kind_of_scene() {
     for name in [
@@ -239,6 +319,10 @@ fn rust_layouts() -> Vec<Layout> {
         layout::<Triangle>(),
         layout::<Material>(),
         layout::<Light>(),
+        layout::<TriangleNormals>(),
+        layout::<TriangleUvs>(),
+        layout::<MaterialMaps>(),
+        layout::<TextureImage>(),
         layout::<RayItem>(),
         layout::<HitItem>(),
         layout::<ShadowItem>(),
@@ -279,6 +363,7 @@ fn structs_shared_with_the_kernels_have_equal_offsets_and_sizes() {
     kernels.extend(linked(&scene("furnace-open"), &learning(LEARNING[6])));
     kernels.extend(linked(&scene("many-lights"), &splitting(4)));
     kernels.extend(linked(&scene("mesh"), &usual()));
+    kernels.extend(linked(&scene("surfaces"), &usual()));
     for (kernel, wgsl) in kernels {
         let module = validate(&wgsl);
         for (name, fields, size) in rust_layouts() {
@@ -351,12 +436,19 @@ fn constants_shared_with_the_kernels_are_equal() {
         ("BUDGET_SHIFT", f64::from(BUDGET_SHIFT)),
         ("SEED_SHIFT", f64::from(SEED_SHIFT)),
         ("SPLIT", 5.0),
+        ("WRAP_CLAMP", f64::from(texels::WRAP_CLAMP)),
+        ("WRAP_MIRROR", f64::from(texels::WRAP_MIRROR)),
+        ("WRAP_U_SHIFT", f64::from(texels::WRAP_U_SHIFT)),
+        ("WRAP_V_SHIFT", f64::from(texels::WRAP_V_SHIFT)),
+        ("PACKED_ONE", f64::from(shading::PACKED_ONE)),
+        ("LEAST_COSINE", f64::from(shading::LEAST_COSINE)),
     ]
     .into();
     let mut seen = BTreeSet::new();
     let guided = LEARNING.into_iter().flat_map(|learnt| linked(&scene("bansal-room-1"), &learning(learnt)));
     let split = linked(&scene("bansal-room-1"), &splitting(5));
     let large = linked(&scene("many-lights"), &usual()).into_iter().chain(linked(&scene("mesh"), &usual()));
+    let large = large.chain(linked(&scene("surfaces"), &usual()));
     let usual = linked(&scene("bansal-room-1"), &usual());
     for (kernel, wgsl) in usual.into_iter().chain(guided).chain(split).chain(large) {
         for (name, value) in constants(&wgsl) {

@@ -33,5 +33,6 @@ mod shapes;
 mod splitting;
 mod stage_twins;
 mod support;
+mod surfaces;
 mod tables;
 mod triangles;
