@@ -95,41 +95,44 @@ impl Faces<'_> {
     /// dropped.
     pub fn read(&self) -> Result<MeshData, String> {
         let mut corners = Corners::new(self.positions.count, self.corners());
-        let mut data = MeshData::default();
+        let mut triangles = Vec::new();
         for i in 0..self.len() {
-            let mut triangle = [0; 3];
-            for (corner, place) in triangle.iter_mut().zip(self.places(i)) {
-                *corner = self.indices.as_ref().map_or(place, |indices| indices.index(place));
-                if *corner >= self.positions.count {
-                    return Err(format!(
-                        "has a triangle (number {i}, from 0) with corner {corner} of {}; it is damaged, write it anew",
-                        self.positions.count
-                    ));
-                }
-            }
-            let [a, b, c] = triangle;
+            let [a, b, c] = self.triangle(i)?;
             let ties = self.mode != Mode::Triangles && (a == b || b == c || c == a);
             if !ties {
-                data.triangles.push(triangle.map(|corner| corners.number(corner)));
+                triangles.push([a, b, c].map(|corner| corners.number(corner)));
             }
         }
-        let vectors = |rows: &Rows<'_>| -> Vec<DVec3> {
-            corners.used.iter().map(|&row| DVec3::from_array(rows.row(row as usize))).collect()
-        };
-        data.positions = vectors(&self.positions);
-        if let Some(number) = data.positions.iter().position(|position| !position.is_finite()) {
-            let corner = corners.used[number];
+        let used = &corners.used;
+        let positions = vectors(&self.positions, used);
+        if let Some(number) = positions.iter().position(|position| !position.is_finite()) {
             return Err(format!(
-                "has a corner (number {corner}, from 0) that is infinite or not a number (nan); remove it"
+                "has a corner (number {}, from 0) that is infinite or not a number (nan); remove it",
+                used[number]
             ));
         }
-        let uv = |rows: &Rows<'_>| -> Vec<[f32; 2]> {
-            corners.used.iter().map(|&row| rows.row(row as usize).map(|x| x as f32)).collect()
-        };
-        data.uvs = self.uvs.as_ref().map(uv).unwrap_or_default();
-        data.normals = self.normals.as_ref().map(vectors).unwrap_or_default();
-        Ok(data)
+        let normals = self.normals.as_ref().map(|rows| vectors(rows, used)).unwrap_or_default();
+        let uv = |rows: &Rows<'_>, row: u32| rows.row(row as usize).map(|x| x as f32);
+        let uvs = self.uvs.as_ref().map(|rows| used.iter().map(|&row| uv(rows, row)).collect());
+        Ok(MeshData { positions, normals, uvs: uvs.unwrap_or_default(), triangles })
     }
+
+    /// The corners of triangle `i`, by their numbers in the accessor.
+    fn triangle(&self, i: usize) -> Result<[usize; 3], String> {
+        let corner = |place| self.indices.as_ref().map_or(place, |indices| indices.index(place));
+        let triangle = self.places(i).map(corner);
+        match triangle.iter().find(|&&corner| corner >= self.positions.count) {
+            None => Ok(triangle),
+            Some(corner) => Err(format!(
+                "has a triangle (number {i}, from 0) with corner {corner} of {}; it is damaged, write it anew",
+                self.positions.count
+            )),
+        }
+    }
+}
+
+fn vectors(rows: &Rows<'_>, used: &[u32]) -> Vec<DVec3> {
+    used.iter().map(|&row| DVec3::from_array(rows.row(row as usize))).collect()
 }
 
 /// New numbers for those corners that are used: several primitives may share one long list.
