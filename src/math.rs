@@ -21,6 +21,13 @@ pub fn to_world(local: Vec3, normal: Vec3) -> Vec3 {
     tangent * local.x + bitangent * local.y + normal * local.z
 }
 
+/// `world`, a direction in world coordinates, in the frame whose third axis is `normal`.
+#[inline(always)]
+pub fn to_local(world: Vec3, normal: Vec3) -> Vec3 {
+    let (tangent, bitangent) = frame_around(normal);
+    Vec3::new(world.dot(tangent), world.dot(bitangent), world.dot(normal))
+}
+
 /// Mirror image of the direction `d` in the plane with unit normal `n`.
 #[inline]
 pub fn mirrored(d: Vec3, n: Vec3) -> Vec3 {

@@ -363,6 +363,53 @@ fn meshes_that_cannot_be_used_are_refused_with_the_file_and_the_remedy() {
     }
 }
 
+/// A triangle in a buffer of its own text, with two cameras.
+const TRIANGLE_GLTF: &str = r#"{
+  "asset": { "version": "2.0" }, "scene": 0, "scenes": [{ "nodes": [0, 1, 2] }],
+  "nodes": [{ "mesh": 0, "name": "sail" },
+            { "camera": 0, "name": "front", "translation": [0.3, 0.3, 3] },
+            { "camera": 0, "name": "near", "translation": [0.3, 0.3, 1] }],
+  "cameras": [{ "type": "perspective", "perspective": { "yfov": 0.8, "znear": 0.1, "aspectRatio": 2 } }],
+  "meshes": [{ "primitives": [{ "attributes": { "POSITION": 0 } }] }],
+  "accessors": [{ "bufferView": 0, "componentType": 5126, "type": "VEC3", "count": 3, "min": [0, 0, 0], "max": [1, 1, 0] }],
+  "bufferViews": [{ "buffer": 0, "byteLength": 36 }],
+  "buffers": [{ "byteLength": 36, "uri": "data:application/octet-stream;base64,AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAA" }]
+}"#;
+
+#[test]
+fn models_are_rendered_by_themselves_and_what_was_chosen_is_said() {
+    let place = Place::new();
+    place.write("sail.gltf", TRIANGLE_GLTF);
+    place.write("tetrahedron.obj", TETRAHEDRON);
+    let checked = place.succeed(&["check", "sail.gltf"]);
+    assert!(
+        checked.stdout.contains("640x320") && checked.stdout.contains("1 meshes of 1 triangles"),
+        "{}",
+        checked.stdout
+    );
+    assert!(checked.stderr.contains("sail.gltf: no light: an even white sky"), "{}", checked.stderr);
+    assert!(!checked.stderr.contains("no camera"), "{}", checked.stderr);
+    let brief = ["--engine", "cpu", "-q", "--spp", "2", "--size", "16x8"];
+    let render = |args: &[&str]| place.succeed(&[&["render"], args, &brief].concat());
+    render(&["sail.gltf"]);
+    let first = place.bytes("sail.png");
+    render(&["sail.gltf", "--camera", "front"]);
+    assert_eq!(place.bytes("sail.png"), first, "the first camera is the usual one");
+    render(&["sail.gltf", "--camera", "near"]);
+    assert_ne!(place.bytes("sail.png"), first);
+    let said = render(&["tetrahedron.obj"]).stderr;
+    for words in ["no camera: the whole is seen", "no light: an even white sky", "1 triangles without area"] {
+        assert!(said.contains(words), "{said}");
+    }
+    place.refuses(
+        &["render", "sail.gltf", "--camera", "nera"],
+        &["sail.gltf", "no camera \"nera\"", "did you mean \"near\""],
+    );
+    place.refuses(&["render", "ball.toml", "--camera", "near"], &["ball.toml", "has one camera"]);
+    place.write("cut.glb", &b"glTF\x02\0\0\0\xff\0\0\0"[..]);
+    place.refuses(&["render", "cut.glb"], &["cut.glb", "promises 255 bytes"]);
+}
+
 /// Colours far above 1 are allowed, and overflow f32 in a closed room: told of once, and black rather than infinite.
 #[test]
 fn samples_that_are_no_numbers_are_told_of_once_and_by_number() {

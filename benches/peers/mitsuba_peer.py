@@ -192,7 +192,7 @@ def measure(mi, given, path, write):
     size = size or (reference.size if reference else (camera["width"], camera["height"]))
     roulette_depth = 5 if given.roulette == "on" else 1 << 20
     start = time.perf_counter()
-    scene = mitsuba_scene.load(description, path.parent, size, given.max_bounces, roulette_depth)
+    scene = mitsuba_scene.load(description, size, given.max_bounces, roulette_depth, path.parent)
     render = Render(mi, scene, size, given.wave)
     plan = steps(given.spp or render.rate() * given.budget, given.checks)
     render.warm_up(plan)

@@ -19,9 +19,9 @@ def read(path):
     return json.loads(text) if str(path).endswith(".json") else tomllib.loads(text)
 
 
-def load(description, folder, size, max_depth, roulette_depth):
-    """Mitsuba's scene: its path integrator (direct light and MIS), a box filter of one pixel, independent samples. Files that
-    the description names lie in `folder`."""
+def load(description, size, max_depth, roulette_depth, folder=Path(".")):
+    """Mitsuba's scene: its path integrator (direct light and MIS), a box filter of one pixel, independent samples. Meshes and
+    textures lie in `folder`."""
     scene = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": max_depth, "rr_depth": roulette_depth},
@@ -32,7 +32,7 @@ def load(description, folder, size, max_depth, roulette_depth):
         scene["environment"] = {"type": "constant", "radiance": _rgb(radiance)}
     materials = description.get("materials", {})
     for name, material in materials.items():
-        scene[f"material_{name}"] = {**_material(material), "id": f"material_{name}"}
+        scene[f"material_{name}"] = {**_material(material, folder), "id": f"material_{name}"}
     for i, (material, shape) in enumerate(_shapes(description, folder)):
         shape["bsdf"] = {"type": "ref", "id": f"material_{material}"}
         emission = materials[material].get("emission", [0, 0, 0])
@@ -69,7 +69,20 @@ def _camera(camera, size):
     }
 
 
-def _material(material):
+def _colour(material, folder):
+    """The colour, or the texture times the colour, which must be grey."""
+    given = material.get("color", [1, 1, 1])
+    if "color_texture" not in material:
+        return _rgb(given)
+    if len(set(given)) > 1:
+        raise ValueError("a color beside a color_texture must be grey")
+    bitmap = mi.Bitmap(str(folder / material["color_texture"])).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False)
+    linear = np.array(bitmap) * float(given[0])
+    wrap = {"repeat": "repeat", "clamp": "clamp", "mirror": "mirror"}[material.get("texture_wrap", "repeat")]
+    return {"type": "bitmap", "bitmap": mi.Bitmap(linear.astype(np.float32)), "raw": True, "wrap_mode": wrap}
+
+
+def _material(material, folder):
     """What reflects on both sides in qtracer is made two-sided here."""
     kind = material["type"]
     if kind == "dielectric":
@@ -81,7 +94,11 @@ def _material(material):
             "specular_reflectance": tint,
             "specular_transmittance": tint,
         }
-    colour = _rgb(material["color"])
+    if kind == "rough-dielectric":
+        _register_rough()
+        tint = material.get("tint", [1, 1, 1])
+        return {"type": "qtracer_rough_glass", "alpha": _alpha(material), "ior": float(material["ior"]), "color": _rgb(tint)}
+    colour = _colour(material, folder)
     diffuse = {"type": "diffuse", "reflectance": colour}
     if kind == "diffuse":
         return {"type": "twosided", "side": diffuse}
@@ -93,7 +110,16 @@ def _material(material):
         _register_glossy()
         lobe = {"type": "qtracer_glossy", "exponent": float(material["exponent"]), "color": colour}
         return {"type": "twosided", "side": lobe}
+    if kind in ("metal", "metallic-roughness"):
+        _register_rough()
+        metallic = float(material.get("metallic", 1.0))
+        lobe = {"type": "qtracer_coated", "alpha": _alpha(material), "metallic": metallic, "color": colour}
+        return {"type": "twosided", "side": lobe}
     raise ValueError(f"unknown material type {kind}")
+
+
+def _alpha(material):
+    return max(float(material["roughness"]) ** 2, 1e-3)
 
 
 def _shapes(description, folder):
@@ -106,21 +132,28 @@ def _shapes(description, folder):
             yield shape["material"], sphere
         elif kind == "quad":
             yield shape["material"], _quad(shape["corner"], shape["e1"], shape["e2"])
+        elif kind == "mesh":
+            yield shape["material"], _mesh(shape, folder)
         elif kind == "box":
             for side in _box(shape):
                 yield shape["material"], _quad(*side)
-        elif kind == "mesh":
-            yield shape["material"], _mesh(shape, folder)
         else:
             raise ValueError(f"unknown shape type {kind}")
 
 
 def _mesh(shape, folder):
-    """A mesh of a PLY or OBJ file with flat facets: scaled, then turned, then moved."""
+    """A mesh of a PLY or OBJ file: scaled, then turned, then moved. Its v goes up from the lower edge of images, Mitsuba's down
+    from the upper."""
     path = Path(folder) / shape["file"]
     place = mi.ScalarTransform4f().translate(shape.get("translate", [0, 0, 0]))
     place = place.rotate([0, 1, 0], shape.get("rotate_y_deg", 0.0)).scale(shape.get("scale", 1.0))
-    return {"type": path.suffix[1:].lower(), "filename": str(path), "face_normals": True, "to_world": place}
+    return {
+        "type": path.suffix[1:].lower(),
+        "filename": str(path),
+        "to_world": place,
+        "face_normals": not shape.get("smooth", True),
+        "flip_tex_coords": True,
+    }
 
 
 def _quad(corner, e1, e2):
@@ -210,3 +243,125 @@ def _register_glossy():
             return f"Glossy[exponent={self.exponent}]"
 
     mi.register_bsdf("qtracer_glossy", Glossy)
+
+
+def _schlick(f0, cosine):
+    return f0 + (1 - f0) * dr.power(dr.maximum(1 - cosine, 0), 5)
+
+
+def _shadowing(alpha, a, b):
+    """What Smith's height-correlated masking and shadowing is of Mitsuba's, which multiplies the two as if independent."""
+    def smith(v):
+        tan2 = (v.x * v.x + v.y * v.y) / (v.z * v.z)
+        return (dr.sqrt(1 + alpha * alpha * tan2) - 1) / 2
+
+    x, y = smith(a), smith(b)
+    return dr.select((a.z == 0) | (b.z == 0), 0, (1 + x) * (1 + y) / (1 + x + y))
+
+
+_rough_registered = set()
+
+
+def _register_rough():
+    """qtracer's rough materials, of Mitsuba's roughconductor and roughdielectric (GGX: facets, Jacobians, Fresnel, sampling),
+    but for the correlation of masking and shadowing, Schlick's reflectance, and the base beneath the coat."""
+    if mi.variant() in _rough_registered:
+        return
+    if mi.variant().startswith("scalar"):
+        raise ValueError("its rough materials are written in Python, which scalar variants run far too slowly")
+    _rough_registered.add(mi.variant())
+
+    class RoughGlass(mi.BSDF):
+        def __init__(self, props):
+            mi.BSDF.__init__(self, props)
+            self.alpha = float(props["alpha"])
+            color = props["color"]
+            self.color = mi.Color3f(color[0], color[1], color[2])
+            self.inner = mi.load_dict({
+                "type": "roughdielectric",
+                "distribution": "ggx",
+                "alpha": self.alpha,
+                "int_ior": float(props["ior"]),
+                "ext_ior": 1.0,
+            })
+            sides = mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
+            self.m_components = [
+                mi.BSDFFlags.GlossyReflection | sides,
+                mi.BSDFFlags.GlossyTransmission | mi.BSDFFlags.NonSymmetric | sides,
+            ]
+            self.m_flags = self.m_components[0] | self.m_components[1]
+
+        def traverse(self, callback):
+            pass
+
+        def sample(self, ctx, si, sample1, sample2, active):
+            found, weight = self.inner.sample(ctx, si, sample1, sample2, active)
+            return found, weight * self.color * _shadowing(self.alpha, si.wi, found.wo)
+
+        def eval(self, ctx, si, wo, active):
+            return self.inner.eval(ctx, si, wo, active) * self.color * _shadowing(self.alpha, si.wi, wo)
+
+        def pdf(self, ctx, si, wo, active):
+            return self.inner.pdf(ctx, si, wo, active)
+
+        def eval_pdf(self, ctx, si, wo, active):
+            return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+
+        def to_string(self):
+            return f"RoughGlass[alpha={self.alpha}]"
+
+    class Coated(mi.BSDF):
+        """Metal by `metallic`, else a base under a coat that reflects 4 %, which light passes on its way in and out."""
+
+        def __init__(self, props):
+            mi.BSDF.__init__(self, props)
+            self.alpha = float(props["alpha"])
+            self.metallic = float(props["metallic"])
+            color = props["color"]
+            self.color = mi.Color3f(color[0], color[1], color[2])
+            self.facets = mi.load_dict(
+                {"type": "roughconductor", "material": "none", "distribution": "ggx", "alpha": self.alpha}
+            )
+            self.base = mi.load_dict({"type": "diffuse", "reflectance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}})
+            self.m_components = [mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide]
+            self.m_flags = self.m_components[0]
+
+        def traverse(self, callback):
+            pass
+
+        def eval(self, ctx, si, wo, active):
+            facets = self.facets.eval(ctx, si, wo, active) * _shadowing(self.alpha, si.wi, wo)
+            middle = dr.normalize(si.wi + wo)
+            head_on = 0.04 * (1 - self.metallic) + self.color * self.metallic
+            reflected = facets * _schlick(head_on, dr.dot(middle, wo))
+            passed = (1 - _schlick(0.04, si.wi.z)) * (1 - _schlick(0.04, wo.z)) / 0.916
+            base = self.base.eval(ctx, si, wo, active) * self.color * ((1 - self.metallic) * passed)
+            return dr.select(active & (si.wi.z > 0) & (wo.z > 0), reflected + base, 0)
+
+        def _half(self):
+            return 0.0 if self.metallic == 1 else 0.5
+
+        def pdf(self, ctx, si, wo, active):
+            facets, base = self.facets.pdf(ctx, si, wo, active), self.base.pdf(ctx, si, wo, active)
+            both = facets * (1 - self._half()) + base * self._half()
+            return dr.select(active & (si.wi.z > 0) & (wo.z > 0), both, 0)
+
+        def sample(self, ctx, si, sample1, sample2, active):
+            found, _ = self.facets.sample(ctx, si, sample1, sample2, active)
+            other, _ = self.base.sample(ctx, si, sample1, sample2, active)
+            found.wo = dr.select(sample1 < self._half(), other.wo, found.wo)
+            found.pdf = self.pdf(ctx, si, found.wo, active)
+            found.eta = 1
+            found.sampled_type = +mi.BSDFFlags.GlossyReflection
+            found.sampled_component = 0
+            weight = self.eval(ctx, si, found.wo, active) / found.pdf
+            return found, dr.select(active & (found.pdf > 0), weight, 0)
+
+        def eval_pdf(self, ctx, si, wo, active):
+            return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+
+        def to_string(self):
+            return f"Coated[alpha={self.alpha}, metallic={self.metallic}]"
+
+    mi.register_bsdf("qtracer_rough_glass", RoughGlass)
+    mi.register_bsdf("qtracer_coated", Coated)

@@ -18,7 +18,7 @@ pub fn fresnel(cos_i: f32, cos_t: f32, eta: f32) -> f32 {
 /// cos² of the refracted angle, at most 0 at total internal reflection. By way of ior² − 1, which keeps its digits where the
 /// ior goes to 1 and where light grazes: 1 − sin² is then rounded away, and glass that bends nothing would be a mirror.
 #[inline]
-fn cos2_refracted(cos_i: f32, ior: f32, outside: bool) -> f32 {
+pub(super) fn cos2_refracted(cos_i: f32, ior: f32, outside: bool) -> f32 {
     let excess = (ior - 1.0) * (ior + 1.0);
     let cos2_i = cos_i * cos_i;
     if outside { (cos2_i + excess) / (ior * ior) } else { cos2_i * (ior * ior) - excess }

@@ -3,12 +3,19 @@
 
 mod dielectric;
 mod diffuse;
+mod ggx;
 mod glossy;
+mod metal;
+mod metallic_roughness;
 mod mirror;
+mod rough_dielectric;
 
 pub use dielectric::fresnel;
 
-use crate::scene::compiled::{KIND_DIELECTRIC, KIND_DIFFUSE, KIND_GLOSSY, KIND_MIRROR, Material};
+use crate::scene::compiled::{
+    KIND_DIELECTRIC, KIND_DIFFUSE, KIND_GLOSSY, KIND_METAL, KIND_METALLIC_ROUGHNESS, KIND_MIRROR,
+    KIND_ROUGH_DIELECTRIC, Material,
+};
 use glam::{Vec3, Vec3Swizzles};
 
 /// A direction that the material chose.
@@ -30,6 +37,12 @@ pub struct BsdfValue {
     pub pdf: f32,
 }
 
+/// What is known of a direction that was chosen by its density: its weight is its value over that.
+#[inline]
+fn weighed(wi: Vec3, BsdfValue { value, pdf }: BsdfValue) -> BsdfSample {
+    BsdfSample { wi, weight: if pdf > 0.0 { value / pdf } else { Vec3::ZERO }, pdf }
+}
+
 /// Chooses `wi`. `u` holds three numbers in [0, 1): two for the direction, one for the lobe.
 #[inline(always)]
 pub fn bsdf_sample(material: &Material, normal: Vec3, wo: Vec3, outside: bool, u: Vec3) -> BsdfSample {
@@ -38,8 +51,18 @@ pub fn bsdf_sample(material: &Material, normal: Vec3, wo: Vec3, outside: bool, u
         KIND_MIRROR => mirror::sample(material, normal, wo, u),
         KIND_GLOSSY => glossy::sample(material, normal, wo, u.xy()),
         KIND_DIELECTRIC => dielectric::sample(material, normal, wo, outside, u.z),
+        KIND_METAL => metal::sample(material, normal, wo, u.xy()),
+        KIND_METALLIC_ROUGHNESS => metallic_roughness::sample(material, normal, wo, u),
+        KIND_ROUGH_DIELECTRIC => rough_dielectric::sample(material, normal, wo, outside, u),
         _ => BsdfSample { wi: normal, weight: Vec3::ZERO, pdf: 0.0 },
     }
+}
+
+/// Whether it reflects nothing at all, as lamps do. What has a coat reflects by that, whatever its colour.
+#[inline]
+pub fn is_black(material: &Material) -> bool {
+    let coated = matches!(material.kind, KIND_METAL | KIND_METALLIC_ROUGHNESS);
+    material.color.max_element() <= 0.0 && !coated
 }
 
 /// How much of the material is a Lambertian lobe: the only part that learns and is guided.
@@ -52,13 +75,17 @@ pub fn lambert_share(material: &Material) -> f32 {
     }
 }
 
-/// Evaluates `wi`. Delta lobes contribute nothing here: no direction chosen elsewhere meets them.
+/// Evaluates `wi`, which may be on the other side. Delta lobes contribute nothing here: no direction chosen elsewhere meets
+/// them.
 #[inline(always)]
-pub fn bsdf_evaluate(material: &Material, normal: Vec3, wo: Vec3, wi: Vec3) -> BsdfValue {
+pub fn bsdf_evaluate(material: &Material, normal: Vec3, wo: Vec3, outside: bool, wi: Vec3) -> BsdfValue {
     match material.kind {
         KIND_DIFFUSE => diffuse::evaluate(material, normal, wi),
         KIND_MIRROR => mirror::evaluate(material, normal, wi),
         KIND_GLOSSY => glossy::evaluate(material, normal, wo, wi),
+        KIND_METAL => metal::evaluate(material, normal, wo, wi),
+        KIND_METALLIC_ROUGHNESS => metallic_roughness::evaluate(material, normal, wo, wi),
+        KIND_ROUGH_DIELECTRIC => rough_dielectric::evaluate(material, normal, wo, outside, wi),
         _ => BsdfValue::default(),
     }
 }

@@ -3,6 +3,7 @@
 use super::console;
 use super::failure::Failure;
 use clap::Args;
+use qtracer::engine::SurfaceStats;
 use qtracer::gpu::key::{KIND_NAMES, KernelKey};
 use qtracer::scene::compiled::CompiledScene;
 use qtracer::scene::{Geometry, MaterialKind};
@@ -16,10 +17,10 @@ Examples:
       What is in it, or what is wrong with it and where.
   qtracer check scenes/*.toml > /dev/null && echo all good
       Exits 2 if any scene is bad; every problem is named on stderr.
-  qtracer check room.json
-      JSON has the same keys as TOML.")]
+  qtracer check room.json model.glb
+      JSON has the same keys as TOML; a model is a scene by itself.")]
 pub struct CheckArgs {
-    /// Scene files (.toml or .json)
+    /// Scene files (.toml or .json) or models (.glb, .gltf, .ply or .obj)
     #[arg(required = true, value_name = "SCENE")]
     scenes: Vec<PathBuf>,
 }
@@ -55,7 +56,7 @@ fn describe(path: &Path, scene: &Scene) -> String {
         true => " and the environment",
         false => "",
     };
-    [
+    let mut lines = vec![
         format!("{}", path.display()),
         format!("  name       {}", scene.name),
         format!("  size       {}x{}", scene.camera.width, scene.camera.height),
@@ -70,8 +71,21 @@ fn describe(path: &Path, scene: &Scene) -> String {
         format!("  materials  {}: {}", scene.materials.len(), kinds(scene)),
         format!("  lights     {}{environment}", compiled.lights.len()),
         format!("  kernels    {key}"),
-    ]
-    .join("\n")
+    ];
+    lines.extend(SurfaceStats::new(&compiled).map(|stats| surfaces(&stats)));
+    lines.join("\n")
+}
+
+/// `  surfaces   64.0 KiB of normals, 128.0 KiB of texture coordinates, 1 textures of 6.8 KiB`.
+fn surfaces(stats: &SurfaceStats) -> String {
+    let SurfaceStats { normal_bytes, uv_bytes, textures, texture_bytes } = *stats;
+    let kib = |bytes: usize| bytes as f64 / 1024.0;
+    format!(
+        "  surfaces   {:.1} KiB of normals, {:.1} KiB of texture coordinates, {textures} textures of {:.1} KiB",
+        kib(normal_bytes),
+        kib(uv_bytes),
+        kib(texture_bytes)
+    )
 }
 
 /// `1 spheres, 12 quads`, and `2 meshes of 96 triangles` where there are any.
@@ -91,10 +105,14 @@ fn kinds(scene: &Scene) -> String {
         MaterialKind::Mirror { .. } => 1,
         MaterialKind::Glossy { .. } => 2,
         MaterialKind::Dielectric { .. } => 3,
+        MaterialKind::Metal { .. } => 4,
+        MaterialKind::MetallicRoughness { .. } => 5,
+        MaterialKind::RoughDielectric { .. } => 6,
     };
     let mut counts = [0; KIND_NAMES.len()];
     scene.materials.iter().for_each(|m| counts[number(&m.kind)] += 1);
     let present = counts.iter().zip(KIND_NAMES).filter(|(count, _)| **count > 0);
-    let words: Vec<String> = present.map(|(count, name)| format!("{count} {name}")).collect();
+    let words: Vec<String> =
+        present.map(|(count, name)| format!("{count} {}", name.replace('_', "-"))).collect();
     words.join(", ")
 }

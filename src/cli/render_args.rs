@@ -16,8 +16,12 @@ use std::time::Duration;
 #[derive(Args)]
 #[command(after_help = EXAMPLES)]
 pub struct RenderArgs {
-    /// Scene file (.toml or .json)
+    /// Scene file (.toml or .json), or a model to be seen by itself (.glb, .gltf, .ply or .obj)
     scene: PathBuf,
+
+    /// See a model by its camera of this name [default: its first, else one that sees all of it]
+    #[arg(long, value_name = "NAME")]
+    camera: Option<String>,
 
     /// Image to write: .png (to look at) or .exr (exact values, standard errors, features); may be given several
     /// times [default: the scene's file name with .png, in this folder]
@@ -158,6 +162,8 @@ Examples:
       The scene's own settings, to cornell-box.png.
   qtracer render scenes/door-ajar.toml --spp 1024 -o door.exr -o door.png --exposure 1
       One render, two files; the picture one stop brighter.
+  qtracer render model.glb --camera top --size 1280x720
+      A model by itself, seen by one of its own cameras.
   qtracer render scenes/glass-caustic.toml --error 0.02 --max-spp 4096 --size 640x480
       Until the noise is 2 %, but no more than 4096 samples per pixel.
   qtracer render scenes/cornell-box.toml --time 2m --engine wavefront --stats json > stats.json
@@ -233,7 +239,11 @@ const MAX_SPP_WITH_ERROR: u32 = 65_536;
 impl RenderArgs {
     /// Loads the scene and checks everything that can be wrong.
     pub fn validate(self) -> Result<Job, Failure> {
-        let scene = Scene::load(&self.scene).map_err(Failure::bad_input)?;
+        let scene = match &self.camera {
+            Some(camera) => Scene::load_with_camera(&self.scene, camera),
+            None => Scene::load(&self.scene),
+        };
+        let scene = scene.map_err(Failure::bad_input)?;
         let stop = self.stop.validate(&scene, self.transport.first_sample)?;
         let outputs = match self.output.is_empty() {
             true => vec![default_output(&self.scene)],

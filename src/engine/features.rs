@@ -6,6 +6,7 @@ use crate::random::{DIMENSION_CAMERA, SampleKey, Sampler, sample4};
 use crate::scene::camera::camera_ray;
 use crate::scene::compiled::{CompiledScene, Uniforms};
 use crate::scene::shapes::{shape_info, surface_at};
+use crate::scene::texels::textured;
 use glam::{Vec3, Vec4Swizzles};
 use rayon::prelude::*;
 
@@ -39,10 +40,14 @@ fn pixel_features(
         let u = sample4(Sampler::Stratified, key, DIMENSION_CAMERA);
         let ray = camera_ray(uniforms, [pixel % uniforms.width, pixel / uniforms.width], u.xy());
         let Some(hit) = search.intersect(ray) else { continue };
-        let surface = surface_at(scene, ray, hit);
+        let mut surface = surface_at(scene, ray, hit);
+        let index = shape_info(scene, hit.shape).material;
+        albedo += match scene.surfaces.is_textured() {
+            false => scene.materials[index as usize].color,
+            true => textured(scene, index, &mut surface).color,
+        };
         let towards_viewer = if ray.direction.dot(surface.normal) < 0.0 { 1.0 } else { -1.0 };
-        albedo += scene.materials[shape_info(scene, hit.shape).material as usize].color;
-        normal += surface.normal * towards_viewer;
+        normal += surface.shading_normal * towards_viewer;
         depth += hit.t;
         hits += 1;
     }

@@ -11,7 +11,7 @@ use super::strategy::plain_strategy;
 use super::wavefront::WavefrontEngine;
 use super::{
     CancelToken, Engine, EngineChoice, EngineKind, Estimators, GuideStats, HierarchyStats, RenderError,
-    RenderOptions, RenderStats,
+    RenderOptions, RenderStats, SurfaceStats,
 };
 use crate::film::{Film, GuideLayers, Image};
 use crate::gpu::device::Gpu;
@@ -174,6 +174,7 @@ impl Renderer {
         RenderStats {
             guide: self.learner().map(GuideStats::new),
             hierarchy: HierarchyStats::new(&self.compiled),
+            surfaces: SurfaceStats::new(&self.compiled),
             ..self.engine.stats()
         }
     }

@@ -11,7 +11,9 @@ use crate::guiding::{GuideMode, GuideTable, Learner};
 use crate::random::{DIMENSION_CAMERA, SampleKey, Sampler, dimension_bsdf, sample4};
 use crate::scene::camera::camera_ray;
 use crate::scene::compiled::{CompiledScene, Uniforms};
+use crate::scene::shading::viewed_normal;
 use crate::scene::shapes::{shape_info, spawn_ray, surface_at};
+use crate::scene::texels::textured;
 use glam::{Vec2, Vec3, Vec4Swizzles};
 use rayon::prelude::*;
 use std::f32::consts::FRAC_1_PI;
@@ -205,10 +207,15 @@ impl Viewer<'_> {
         let mut ray = camera_ray(self.uniforms, [pixel % width, pixel / width], u);
         for bounce in 0..MOST_BOUNCES {
             let hit = self.search.intersect(ray)?;
-            let surface = surface_at(self.scene, ray, hit);
-            let material = &self.scene.materials[shape_info(self.scene, hit.shape).material as usize];
+            let mut surface = surface_at(self.scene, ray, hit);
+            let index = shape_info(self.scene, hit.shape).material;
+            let material = &match self.scene.surfaces.is_textured() {
+                false => self.scene.materials[index as usize],
+                true => textured(self.scene, index, &mut surface),
+            };
             let outside = ray.direction.dot(surface.normal) < 0.0;
-            let normal = if outside { surface.normal } else { -surface.normal };
+            let facing = if outside { surface.normal } else { -surface.normal };
+            let normal = viewed_normal(&surface, facing, outside, -ray.direction, material.kind);
             if lambert_share(material) > 0.0 {
                 return self.learnt.at(surface.position, normal);
             }

@@ -29,6 +29,9 @@ pub struct RenderStats {
     /// The hierarchy over the shapes; absent where rays ask all of them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub hierarchy: Option<HierarchyStats>,
+    /// Normals, texture coordinates and textures; absent where nothing has any.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub surfaces: Option<SurfaceStats>,
     /// Submissions to the GPU.
     pub submissions: u64,
     /// Levels recorded by the wavefront engine.
@@ -64,6 +67,30 @@ impl HierarchyStats {
             bytes: size_of_val(&bvh.rows[..]),
             depth: bvh.depth,
             build_seconds: bvh.seconds,
+        })
+    }
+}
+
+/// Figures about what surfaces have besides where they are.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
+pub struct SurfaceStats {
+    /// Bytes of the normals at the corners of triangles.
+    pub normal_bytes: usize,
+    /// … and of the texture coordinates.
+    pub uv_bytes: usize,
+    /// Textures in use, and bytes of their texels.
+    pub textures: usize,
+    pub texture_bytes: usize,
+}
+
+impl SurfaceStats {
+    pub fn new(scene: &CompiledScene) -> Option<SurfaceStats> {
+        let surfaces = &scene.surfaces;
+        surfaces.changes_triangles().then(|| SurfaceStats {
+            normal_bytes: size_of_val(&surfaces.normals[..]),
+            uv_bytes: size_of_val(&surfaces.uvs[..]),
+            textures: surfaces.images.len(),
+            texture_bytes: size_of_val(&surfaces.texels[..]),
         })
     }
 }

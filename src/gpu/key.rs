@@ -4,14 +4,16 @@
 use crate::guiding::GuideMode;
 use crate::random::Sampler;
 use crate::scene::compiled::{
-    CompiledScene, KIND_DIELECTRIC, KIND_DIFFUSE, KIND_GLOSSY, KIND_MIRROR, KINDS, ShapeIndex,
+    CompiledScene, KIND_DIELECTRIC, KIND_DIFFUSE, KIND_GLOSSY, KIND_METAL, KIND_METALLIC_ROUGHNESS,
+    KIND_MIRROR, KIND_ROUGH_DIELECTRIC, KINDS, ShapeIndex,
 };
 use crate::transport::estimators::Estimators;
 use crate::transport::roulette::Roulette;
 use std::fmt;
 
 /// Names of the material kinds, by number.
-pub const KIND_NAMES: [&str; KINDS] = ["diffuse", "mirror", "glossy", "dielectric"];
+pub const KIND_NAMES: [&str; KINDS] =
+    ["diffuse", "mirror", "glossy", "dielectric", "metal", "metallic_roughness", "rough_dielectric"];
 
 /// What the linked kernels must be able to do. Equal keys link equal kernels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -20,6 +22,14 @@ pub struct KernelKey {
     pub quads: bool,
     /// Of meshes.
     pub triangles: bool,
+    /// Whether any mesh has normals at its corners.
+    pub smooth: bool,
+    /// Whether anything is textured,
+    pub textures: bool,
+    /// … has normals from a texture,
+    pub normal_maps: bool,
+    /// … or shines by one.
+    pub textured_lamps: bool,
     /// Material kinds present.
     pub kinds: [bool; KINDS],
     /// Light that comes from beyond the scene.
@@ -74,6 +84,10 @@ impl KernelKey {
             spheres: !scene.spheres.is_empty(),
             quads: !scene.quads.is_empty(),
             triangles: !scene.triangles.is_empty(),
+            smooth: !scene.surfaces.normals.is_empty(),
+            textures: scene.surfaces.is_textured(),
+            normal_maps: scene.surfaces.normal_maps,
+            textured_lamps: direct_light && scene.surfaces.textured_lamps,
             kinds,
             environment: scene.environment.max_element() > 0.0,
             direct_light,
@@ -109,10 +123,19 @@ impl KernelKey {
             ("spheres", self.spheres),
             ("quads", self.quads),
             ("triangles", self.triangles),
+            ("smooth_normals", self.smooth),
+            ("textures", self.textures),
+            ("normal_maps", self.normal_maps),
+            ("shading_normals", self.smooth || self.normal_maps),
+            ("textured_lamps", self.textured_lamps),
             ("diffuse", self.kinds[KIND_DIFFUSE as usize]),
             ("mirror", self.kinds[KIND_MIRROR as usize]),
             ("glossy", self.kinds[KIND_GLOSSY as usize]),
             ("dielectric", self.kinds[KIND_DIELECTRIC as usize]),
+            ("metal", self.kinds[KIND_METAL as usize]),
+            ("metallic_roughness", self.kinds[KIND_METALLIC_ROUGHNESS as usize]),
+            ("rough_dielectric", self.kinds[KIND_ROUGH_DIELECTRIC as usize]),
+            ("microfacets", self.kinds[KIND_METAL as usize..].contains(&true)),
             ("non_delta", non_delta(&self.kinds)),
             ("environment", self.environment),
             ("direct_light", self.direct_light),

@@ -7,6 +7,7 @@ use crate::film::BlockSum;
 use crate::guiding::{GuideUniforms, Trail, Transition};
 use crate::layout::GpuStruct;
 use crate::scene::compiled::{Light, Material, Quad, Sphere, Triangle, Uniforms};
+use crate::scene::surfaces::{MaterialMaps, TextureImage, TriangleNormals, TriangleUvs};
 use crate::transport::items::{HitItem, RayItem, ShadowItem};
 use std::borrow::Cow;
 use wesl::{CompileOptions, Feature, Features, ManglerKind, ModulePath, VirtualResolver, Wesl};
@@ -25,13 +26,19 @@ pub const MODULES: &[(&str, &str)] = modules![
     "scene/bvh",
     "scene/camera",
     "scene/data",
+    "scene/shading",
     "scene/shapes",
+    "scene/texels",
     "scene/triangle",
     "bsdf/dielectric",
     "bsdf/diffuse",
+    "bsdf/ggx",
     "bsdf/glossy",
     "bsdf/interface",
+    "bsdf/metal",
+    "bsdf/metallic_roughness",
     "bsdf/mirror",
+    "bsdf/rough_dielectric",
     "guiding/data",
     "guiding/lessons",
     "guiding/octant",
@@ -81,6 +88,14 @@ fn item_declarations() -> String {
         Material::wgsl_rows(),
         Light::wgsl(),
         Light::wgsl_rows(),
+        TriangleNormals::wgsl(),
+        TriangleNormals::wgsl_rows(),
+        TriangleUvs::wgsl(),
+        TriangleUvs::wgsl_rows(),
+        MaterialMaps::wgsl(),
+        MaterialMaps::wgsl_rows(),
+        TextureImage::wgsl(),
+        TextureImage::wgsl_rows(),
         RayItem::wgsl(),
         RayItem::wgsl_rows(),
         HitItem::wgsl(),

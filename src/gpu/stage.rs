@@ -6,6 +6,7 @@ use crate::layout::GpuStruct;
 use crate::scene::bvh::NODE_ROWS;
 use crate::scene::compiled::{KINDS, Light, Material, Quad, Sphere, Triangle};
 use crate::scene::rows::{ALIGNED_ROWS, QUAD_HOT_ROWS, SPHERE_HOT_ROWS};
+use crate::scene::surfaces::{MaterialMaps, TextureImage, TriangleNormals, TriangleUvs};
 use std::fmt::Write;
 
 /// How the wavefront engine schedules a level of all paths in flight. All give the same image.
@@ -251,6 +252,10 @@ impl Stage {
             ("TRIANGLE_ROWS", Triangle::ROWS),
             ("MATERIAL_ROWS", Material::ROWS),
             ("LIGHT_ROWS", Light::ROWS),
+            ("TRIANGLE_NORMALS_ROWS", TriangleNormals::ROWS),
+            ("TRIANGLE_UVS_ROWS", TriangleUvs::ROWS),
+            ("MATERIAL_MAPS_ROWS", MaterialMaps::ROWS),
+            ("TEXTURE_IMAGE_ROWS", TextureImage::ROWS),
         ] {
             define(name, rows as u32);
         }

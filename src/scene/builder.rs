@@ -8,7 +8,9 @@ use super::boxes::box_quads;
 use super::description::{MaterialNames, material_index};
 use super::error::Fault;
 use super::validate::{self, shape_label};
-use super::{Camera, Defaults, Geometry, Material, Mesh, MeshData, Placement, Scene, SceneError, Shape};
+use super::{
+    Camera, Defaults, Geometry, Material, Mesh, MeshData, Placement, Scene, SceneError, Shape, Texture,
+};
 
 /// Makes a [`Scene`] step by step; nothing is checked before [`build`](Self::build). Order is free, shapes may come
 /// before their materials.
@@ -73,8 +75,10 @@ impl Scene {
             camera: Camera { origin, target, up, fov_y_deg: 40.0, width: 512, height: 512 },
             environment: DVec3::ZERO,
             materials: Vec::new(),
+            textures: Vec::new(),
             shapes: Vec::new(),
             defaults: Defaults::default(),
+            file_warnings: Vec::new(),
         };
         SceneBuilder { scene, has_camera: false, shapes: Vec::new() }
     }
@@ -122,6 +126,12 @@ impl SceneBuilder {
     /// Defines a material; `name` replaces any it had.
     pub fn material(mut self, name: impl Into<String>, material: Material) -> Self {
         self.scene.materials.push(Material { name: name.into(), ..material });
+        self
+    }
+
+    /// Adds an image that materials may refer to: the first has number 0.
+    pub fn texture(mut self, texture: Texture) -> Self {
+        self.scene.textures.push(texture);
         self
     }
 

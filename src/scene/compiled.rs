@@ -2,6 +2,7 @@
 
 use super::bvh::Bvh;
 use super::shapes::RELATIVE_OFFSET;
+use super::surfaces::Surfaces;
 use super::triangle::double_area;
 use super::{Camera, Geometry, MaterialKind, Mesh, Scene, rows};
 use crate::gpu_struct;
@@ -14,8 +15,14 @@ pub const KIND_DIFFUSE: u32 = 0;
 pub const KIND_MIRROR: u32 = 1;
 pub const KIND_GLOSSY: u32 = 2;
 pub const KIND_DIELECTRIC: u32 = 3;
+pub const KIND_METAL: u32 = 4;
+pub const KIND_METALLIC_ROUGHNESS: u32 = 5;
+pub const KIND_ROUGH_DIELECTRIC: u32 = 6;
 /// How many kinds there are.
-pub const KINDS: usize = 4;
+pub const KINDS: usize = 7;
+/// The least α of GGX; smoother surfaces are taken for this smooth, a roughness of 0.032. The lobe of a smaller one is narrower
+/// than f32 directions can tell to a thousandth.
+pub const LEAST_ALPHA: f32 = 1e-3;
 /// "No light", where an index is expected.
 pub const NONE: u32 = u32::MAX;
 
@@ -59,10 +66,14 @@ gpu_struct! {
         first_material_row: u32,
         first_light_row: u32,
         first_node_row: u32,
+        first_triangle_normals_row: u32,
+        first_triangle_uvs_row: u32,
+        first_material_maps_row: u32,
+        first_texture_image_row: u32,
+        first_texel_row: u32,
+        first_srgb_row: u32,
         /// Survival in roulette is this times what it would be.
         roulette_scale: f32,
-        _pad0: u32,
-        _pad1: u32,
     }
     /// What every ray reads comes first; rows.rs says where that ends.
     pub struct Sphere {
@@ -107,8 +118,14 @@ gpu_struct! {
         kind: u32,
         /// Radiance leaving the outer side.
         emission: Vec3,
-        /// Mirror: level. Glossy: exponent. Dielectric: index of refraction.
+        /// Mirror: level. Glossy: exponent. Dielectrics: index of refraction.
         parameter: f32,
+        /// Of what has microfacets, 0 to 1; kernels read this row of their scenes only.
+        roughness: f32,
+        /// Metallic-roughness: 0, a coat over a diffuse base, to 1, metal.
+        metallic: f32,
+        _pad0: u32,
+        _pad1: u32,
     }
     /// An emitting shape, and its row of the alias table by power.
     pub struct Light {
@@ -138,6 +155,8 @@ pub struct CompiledScene {
     pub materials: Vec<Material>,
     pub lights: Vec<Light>,
     pub environment: Vec3,
+    /// Normals, texture coordinates and textures.
+    pub surfaces: Surfaces,
     /// Where the shapes are too many to ask them all.
     pub bvh: Option<Bvh>,
 }
@@ -160,6 +179,7 @@ impl CompiledScene {
         let mut compiled = CompiledScene {
             materials: scene.materials.iter().map(compile_material).collect(),
             environment: scene.environment.as_vec3(),
+            surfaces: Surfaces::new(scene),
             ..Default::default()
         };
         // Emitters first: where a lamp lies flush in another surface, rays that meet both at once see the lamp.
@@ -182,7 +202,10 @@ impl CompiledScene {
                     let quad = compile_quad(corner, e1, e2);
                     compiled.quads.push(Quad { material, kind, light: NONE, ..quad });
                 }
-                Geometry::Mesh(mesh) => compiled.triangles.extend(compile_mesh(mesh, material, kind)),
+                Geometry::Mesh(mesh) => {
+                    compiled.triangles.extend(compile_mesh(mesh, material, kind));
+                    compiled.surfaces.add_mesh(mesh);
+                }
             }
         }
         compiled.sort_quads();
@@ -241,10 +264,11 @@ impl CompiledScene {
 
     /// Every emitting shape, chosen with probability proportional to its power.
     fn find_lights(&mut self) {
-        let CompiledScene { spheres, quads, triangles, materials, lights, .. } = self;
+        let CompiledScene { spheres, quads, triangles, materials, lights, surfaces, .. } = self;
         let mut powers = Vec::new();
         let mut register = |shape: usize, material: u32, area: f64| -> u32 {
-            let power = materials[material as usize].emission.as_dvec3().element_sum() * area;
+            let emission = materials[material as usize].emission * surfaces.mean_emission(material);
+            let power = emission.as_dvec3().element_sum() * area;
             if power <= 0.0 {
                 return NONE;
             }
@@ -276,20 +300,19 @@ impl CompiledScene {
     pub fn fingerprint(&self, uniforms: &Uniforms) -> u64 {
         // Neither changes what the picture converges to.
         let picture = Uniforms { seed: 0, roulette_scale: 1.0, ..*uniforms };
-        let [spheres, quads, triangles, materials] = self.arrays();
-        fnv1a([spheres, quads, triangles, materials, bytemuck::bytes_of(&picture)])
+        fnv1a(self.arrays().chain([bytemuck::bytes_of(&picture)]))
     }
 
     /// A number that differs between scenes that light spreads in differently, wherever the camera is (FNV-1a).
     pub fn light_fingerprint(&self) -> u64 {
-        let [spheres, quads, triangles, materials] = self.arrays();
-        fnv1a([spheres, quads, triangles, materials, bytemuck::bytes_of(&self.environment)])
+        fnv1a(self.arrays().chain([bytemuck::bytes_of(&self.environment)]))
     }
 
-    fn arrays(&self) -> [&[u8]; 4] {
+    fn arrays(&self) -> impl Iterator<Item = &[u8]> {
         let CompiledScene { spheres, quads, triangles, materials, .. } = self;
         use bytemuck::cast_slice as bytes;
-        [bytes(spheres), bytes(quads), bytes(triangles), bytes(materials)]
+        let shapes = [bytes(spheres), bytes(quads), bytes(triangles), bytes(materials)];
+        shapes.into_iter().chain(self.surfaces.bytes())
     }
 
     /// Which material kinds the shapes use.
@@ -316,6 +339,12 @@ impl CompiledScene {
             first_material_row,
             first_light_row,
             first_node_row,
+            first_triangle_normals_row,
+            first_triangle_uvs_row,
+            first_material_maps_row,
+            first_texture_image_row,
+            first_texel_row,
+            first_srgb_row,
         ] = rows::first_rows(self);
         Uniforms {
             camera_origin: camera.origin.as_vec3(),
@@ -337,6 +366,12 @@ impl CompiledScene {
             first_material_row,
             first_light_row,
             first_node_row,
+            first_triangle_normals_row,
+            first_triangle_uvs_row,
+            first_material_maps_row,
+            first_texture_image_row,
+            first_texel_row,
+            first_srgb_row,
             ..Default::default()
         }
     }
@@ -360,12 +395,22 @@ fn compile_material(material: &super::Material) -> Material {
         MaterialKind::Mirror { color, level } => (KIND_MIRROR, color, level),
         MaterialKind::Glossy { color, exponent } => (KIND_GLOSSY, color, exponent),
         MaterialKind::Dielectric { tint, ior } => (KIND_DIELECTRIC, tint, ior),
+        MaterialKind::Metal { color, .. } => (KIND_METAL, color, 0.0),
+        MaterialKind::MetallicRoughness { color, .. } => (KIND_METALLIC_ROUGHNESS, color, 0.0),
+        MaterialKind::RoughDielectric { tint, ior, .. } => (KIND_ROUGH_DIELECTRIC, tint, ior),
+    };
+    let metallic = match material.kind {
+        MaterialKind::MetallicRoughness { metallic, .. } => metallic,
+        _ => 0.0,
     };
     Material {
         color: color.as_vec3(),
         kind,
         emission: material.emission.as_vec3(),
         parameter: parameter as f32,
+        roughness: material.kind.roughness().unwrap_or(0.0) as f32,
+        metallic: metallic as f32,
+        ..Default::default()
     }
 }
 

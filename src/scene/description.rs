@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::sync::Arc;
 
 use glam::DVec3;
 
@@ -10,12 +9,15 @@ use super::boxes::box_quads;
 use super::document::{Node, Value};
 use super::error::{Fault, SceneError, quoted, suggestion};
 use super::fields::Fields;
-use super::mesh;
+use super::mesh::file::of_scene;
+use super::model::{self, Model};
+use super::texture::{MaterialTextures, Texture, TextureFiles, TextureRef, Wrap};
 use super::validate::{self, material_label, shape_label};
-use super::{Camera, Defaults, Geometry, Material, MaterialKind, Mesh, Placement, Scene, Shape};
+use super::{Camera, Defaults, Geometry, Material, MaterialKind, Placement, Scene, SceneWarning, Shape};
 
 const TOP_KEYS: [&str; 7] = ["name", "description", "camera", "environment", "render", "materials", "shapes"];
-const MATERIAL_TYPES: [&str; 4] = ["diffuse", "mirror", "glossy", "dielectric"];
+const MATERIAL_TYPES: [&str; 7] =
+    ["diffuse", "mirror", "glossy", "dielectric", "metal", "metallic-roughness", "rough-dielectric"];
 const SHAPE_TYPES: [&str; 4] = ["sphere", "quad", "box", "mesh"];
 
 /// Names of materials and their places in [`Scene::materials`].
@@ -25,17 +27,24 @@ pub(super) type MaterialNames = BTreeMap<String, usize>;
 pub(super) fn scene(root: &Node, folder: Option<&Path>) -> Result<Scene, SceneError> {
     let top = Fields::of(root).map_err(|fault| fault.of("scene", root.line))?;
     let (name, description) = heading(&top).map_err(|fault| fault.of("scene", root.line))?;
-    let materials = materials(top.node("materials"))?;
+    let mut files = TextureFiles::new(folder);
+    let mut materials = materials(top.node("materials"), &mut files)?;
     let names =
         materials.iter().enumerate().map(|(index, material)| (material.name.clone(), index)).collect();
+    let mut models =
+        Models { names, folder, materials: &mut materials, textures: &mut files.all, warnings: Vec::new() };
+    let shapes = shapes(top.node("shapes"), &mut models)?;
+    let file_warnings = models.warnings;
     let scene = Scene {
         name,
         description,
         camera: section(&top, "camera", camera)?.ok_or_else(no_camera)?,
         environment: section(&top, "environment", environment)?.unwrap_or(DVec3::ZERO),
-        shapes: shapes(top.node("shapes"), &names, folder)?,
+        shapes,
         defaults: section(&top, "render", render)?.unwrap_or_default(),
         materials,
+        file_warnings,
+        textures: files.all,
     };
     scene.validate()?;
     Ok(scene)
@@ -99,7 +108,7 @@ fn render(fields: &Fields<'_>) -> Result<Defaults, Fault> {
     Ok(defaults)
 }
 
-fn materials(node: Option<&Node>) -> Result<Vec<Material>, SceneError> {
+fn materials(node: Option<&Node>, files: &mut TextureFiles<'_>) -> Result<Vec<Material>, SceneError> {
     let Some(node) = node else {
         return Ok(Vec::new());
     };
@@ -108,54 +117,130 @@ fn materials(node: Option<&Node>) -> Result<Vec<Material>, SceneError> {
         return Err(Fault::from(problem).of("materials", node.line));
     };
     let read = |(name, node): (&String, &Node)| {
-        material(name, node).map_err(|fault| fault.of(&material_label(name), node.line))
+        material(name, node, files).map_err(|fault| fault.of(&material_label(name), node.line))
     };
     table.iter().map(read).collect()
 }
 
-fn material(name: &str, node: &Node) -> Result<Material, Fault> {
+fn material(name: &str, node: &Node, files: &mut TextureFiles<'_>) -> Result<Material, Fault> {
     let fields = Fields::of(node)?;
     let kind = material_kind(&fields)?;
-    let emission = fields.get("emission")?.unwrap_or(DVec3::ZERO);
-    let material = Material { name: name.to_owned(), kind, emission };
+    let textures = textures(&fields, files)?;
+    // A texture that shines does so without a factor beside it.
+    let usual = if textures.emission.is_some() { DVec3::ONE } else { DVec3::ZERO };
+    let emission = fields.get("emission")?.unwrap_or(usual);
+    let material = Material { name: name.to_owned(), kind, emission, textures };
     validate::material(&material).map_err(|problem| fields.broken(problem))?;
     Ok(material)
+}
+
+/// Keys that every material may have.
+const TEXTURE_KEYS: [&str; 6] = [
+    "color_texture",
+    "metallic_roughness_texture",
+    "emission_texture",
+    "normal_texture",
+    "normal_scale",
+    "texture_wrap",
+];
+
+/// Refuses keys that are neither `own` nor those of every material.
+fn only_of_material(fields: &Fields<'_>, own: &[&str]) -> Result<(), Fault> {
+    fields.only(&[own, &["type", "emission"], &TEXTURE_KEYS].concat())
+}
+
+/// The colour, which may be left to the texture.
+fn color(fields: &Fields<'_>) -> Result<DVec3, Fault> {
+    match fields.node("color_texture") {
+        Some(_) => Ok(fields.get("color")?.unwrap_or(DVec3::ONE)),
+        None => fields.need("color"),
+    }
+}
+
+fn textures(fields: &Fields<'_>, files: &mut TextureFiles<'_>) -> Result<MaterialTextures, Fault> {
+    let line = |key: &str| fields.node(key).and_then(|node| node.line);
+    let wrap = match fields.get::<String>("texture_wrap")?.as_deref() {
+        None | Some("repeat") => Wrap::Repeat,
+        Some("clamp") => Wrap::Clamp,
+        Some("mirror") => Wrap::Mirror,
+        Some(other) => {
+            let hint = suggestion(other, ["repeat", "clamp", "mirror"]);
+            let problem = format!("unknown texture_wrap {}{hint}", quoted(other));
+            return Err(Fault::new(line("texture_wrap"), problem));
+        }
+    };
+    let mut texture = |key: &str| -> Result<Option<TextureRef>, Fault> {
+        let Some(name) = fields.get::<String>(key)? else { return Ok(None) };
+        let number =
+            files.number(&name).map_err(|problem| Fault::new(line(key), format!("{key}: {problem}")))?;
+        Ok(Some(TextureRef { texture: number, wrap_u: wrap, wrap_v: wrap }))
+    };
+    Ok(MaterialTextures {
+        color: texture("color_texture")?,
+        metallic_roughness: texture("metallic_roughness_texture")?,
+        emission: texture("emission_texture")?,
+        normal: texture("normal_texture")?,
+        normal_scale: fields.get("normal_scale")?.unwrap_or(1.0),
+    })
 }
 
 fn material_kind(fields: &Fields<'_>) -> Result<MaterialKind, Fault> {
     let kind: String = fields.need("type")?;
     match kind.as_str() {
         "diffuse" => {
-            fields.only(&["type", "color", "emission"])?;
-            Ok(MaterialKind::Diffuse { color: fields.need("color")? })
+            only_of_material(fields, &["color"])?;
+            Ok(MaterialKind::Diffuse { color: color(fields)? })
         }
         "mirror" => {
-            fields.only(&["type", "color", "level", "emission"])?;
-            Ok(MaterialKind::Mirror {
-                color: fields.need("color")?,
-                level: fields.get("level")?.unwrap_or(1.0),
-            })
+            only_of_material(fields, &["color", "level"])?;
+            Ok(MaterialKind::Mirror { color: color(fields)?, level: fields.get("level")?.unwrap_or(1.0) })
         }
         "glossy" => {
-            fields.only(&["type", "color", "exponent", "emission"])?;
-            Ok(MaterialKind::Glossy { color: fields.need("color")?, exponent: fields.need("exponent")? })
+            only_of_material(fields, &["color", "exponent"])?;
+            Ok(MaterialKind::Glossy { color: color(fields)?, exponent: fields.need("exponent")? })
         }
         "dielectric" => {
-            fields.only(&["type", "tint", "ior", "emission"])?;
+            only_of_material(fields, &["tint", "ior"])?;
             Ok(MaterialKind::Dielectric {
                 tint: fields.get("tint")?.unwrap_or(DVec3::ONE),
                 ior: fields.need("ior")?,
+            })
+        }
+        "metal" => {
+            fields.only(&["type", "color", "roughness", "emission"])?;
+            Ok(MaterialKind::Metal { color: fields.need("color")?, roughness: fields.need("roughness")? })
+        }
+        "metallic-roughness" => {
+            fields.only(&["type", "color", "metallic", "roughness", "emission"])?;
+            Ok(MaterialKind::MetallicRoughness {
+                color: fields.need("color")?,
+                metallic: fields.need("metallic")?,
+                roughness: fields.need("roughness")?,
+            })
+        }
+        "rough-dielectric" => {
+            fields.only(&["type", "tint", "ior", "roughness", "emission"])?;
+            Ok(MaterialKind::RoughDielectric {
+                tint: fields.get("tint")?.unwrap_or(DVec3::ONE),
+                ior: fields.need("ior")?,
+                roughness: fields.need("roughness")?,
             })
         }
         other => Err(unknown_type(fields, other, &MATERIAL_TYPES)),
     }
 }
 
-fn shapes(
-    node: Option<&Node>,
-    names: &MaterialNames,
-    folder: Option<&Path>,
-) -> Result<Vec<Shape>, SceneError> {
+/// What shapes are read with, and what those from files add to.
+struct Models<'a> {
+    /// Of the scene's own materials.
+    names: MaterialNames,
+    folder: Option<&'a Path>,
+    materials: &'a mut Vec<Material>,
+    textures: &'a mut Vec<Texture>,
+    warnings: Vec<SceneWarning>,
+}
+
+fn shapes(node: Option<&Node>, models: &mut Models<'_>) -> Result<Vec<Shape>, SceneError> {
     let Some(node) = node else {
         return Ok(Vec::new());
     };
@@ -165,7 +250,7 @@ fn shapes(
     };
     let mut shapes = Vec::with_capacity(list.len());
     for (index, node) in list.iter().enumerate() {
-        let sides = shape(node, names, folder)
+        let sides = shape(node, models)
             .map_err(|fault| fault.of(&shape_label(index, shape_name(node)), node.line))?;
         shapes.extend(sides);
     }
@@ -183,19 +268,26 @@ fn shape_name(node: &Node) -> Option<&str> {
     }
 }
 
-fn shape(node: &Node, names: &MaterialNames, folder: Option<&Path>) -> Result<Vec<Shape>, Fault> {
+fn shape(node: &Node, models: &mut Models<'_>) -> Result<Vec<Shape>, Fault> {
     let fields = Fields::of(node)?;
-    let sides = geometry(&fields, folder)?;
+    let kind: String = fields.need("type")?;
+    if kind == "mesh" {
+        return meshed(&fields, models);
+    }
+    let sides = geometry(&fields, &kind)?;
     let name: Option<String> = fields.get("name")?;
-    let wanted: String = fields.need("material")?;
-    let line = fields.node("material").and_then(|node| node.line);
-    let material = material_index(&wanted, names).map_err(|problem| Fault::new(line, problem))?;
+    let material = own_material(&fields, &models.names)?;
     Ok(sides.into_iter().map(|geometry| Shape { name: name.clone(), material, geometry }).collect())
 }
 
-fn geometry(fields: &Fields<'_>, folder: Option<&Path>) -> Result<Vec<Geometry>, Fault> {
-    let kind: String = fields.need("type")?;
-    let geometry = match kind.as_str() {
+fn own_material(fields: &Fields<'_>, names: &MaterialNames) -> Result<usize, Fault> {
+    let wanted: String = fields.need("material")?;
+    let line = fields.node("material").and_then(|node| node.line);
+    material_index(&wanted, names).map_err(|problem| Fault::new(line, problem))
+}
+
+fn geometry(fields: &Fields<'_>, kind: &str) -> Result<Vec<Geometry>, Fault> {
+    let geometry = match kind {
         "sphere" => {
             fields.only(&["type", "name", "material", "center", "radius", "inward"])?;
             let inward = fields.get("inward")?.unwrap_or(false);
@@ -206,7 +298,6 @@ fn geometry(fields: &Fields<'_>, folder: Option<&Path>) -> Result<Vec<Geometry>,
             Geometry::Quad { corner: fields.need("corner")?, e1: fields.need("e1")?, e2: fields.need("e2")? }
         }
         "box" => return boxed(fields),
-        "mesh" => return Ok(vec![meshed(fields, folder)?]),
         other => return Err(unknown_type(fields, other, &SHAPE_TYPES)),
     };
     validate::geometry(&geometry).map_err(|problem| fields.broken(problem))?;
@@ -221,8 +312,8 @@ fn boxed(fields: &Fields<'_>) -> Result<Vec<Geometry>, Fault> {
     Ok(box_quads(center, size, rotate_y_deg).to_vec())
 }
 
-fn meshed(fields: &Fields<'_>, folder: Option<&Path>) -> Result<Geometry, Fault> {
-    fields.only(&["type", "name", "material", "file", "scale", "rotate_y_deg", "translate"])?;
+fn meshed(fields: &Fields<'_>, models: &mut Models<'_>) -> Result<Vec<Shape>, Fault> {
+    fields.only(&["type", "name", "material", "file", "scale", "rotate_y_deg", "translate", "smooth"])?;
     let usual = Placement::default();
     let placement = Placement {
         scale: fields.get("scale")?.unwrap_or(usual.scale),
@@ -231,10 +322,54 @@ fn meshed(fields: &Fields<'_>, folder: Option<&Path>) -> Result<Geometry, Fault>
     };
     validate::placement(&placement).map_err(|problem| fields.broken(problem))?;
     let file: String = fields.need("file")?;
-    let data = mesh::of_scene(&file, folder).map_err(|problem| fields.broken(problem))?;
-    let mesh = Mesh::new(&data.placed(&placement))
-        .map_err(|problem| fields.broken(format!("file {} {problem}", quoted(&file))))?;
-    Ok(Geometry::Mesh(Arc::new(mesh)))
+    let path = of_scene(&file, models.folder).map_err(|problem| fields.broken(problem))?;
+    let name: Option<String> = fields.get("name")?;
+    let own = fields.node("material").is_none() && model::has_materials(&path);
+    let material = if own { None } else { Some(own_material(fields, &models.names)?) };
+    let broken = |problem| fields.broken(format!("file {} {problem}", quoted(&file)));
+    let mut model = Model::load(&path).map_err(broken)?;
+    match fields.get("smooth")? {
+        Some(false) => model.surfaces.iter_mut().for_each(|surface| surface.data.normals.clear()),
+        Some(true) if model.surfaces.iter().any(|surface| surface.data.normals.is_empty()) => {
+            let problem = format!(
+                "smooth needs normals, which file {} does not have; write it with them",
+                quoted(&file)
+            );
+            return Err(fields.broken(problem));
+        }
+        _ => {}
+    }
+    let mut shapes = model.place(&placement).map_err(broken)?;
+    if shapes.is_empty() {
+        return Err(broken(model::NOTHING_TO_SHOW.to_owned()));
+    }
+    models.warnings.extend(model.placed_warnings(&file));
+    let first = models.materials.len();
+    for shape in &mut shapes {
+        shape.material = material.unwrap_or(first + shape.material);
+        shape.name = name.clone().or(shape.name.take());
+    }
+    if own {
+        models.add(&file, model.materials, model.textures);
+    }
+    Ok(shapes)
+}
+
+impl Models<'_> {
+    /// Adds the materials of a file under names that no other has, and their textures.
+    fn add(&mut self, file: &str, materials: Vec<Material>, textures: Vec<Texture>) {
+        let (place, first_texture) = (self.materials.len(), self.textures.len());
+        self.textures.extend(textures);
+        let named = |mut material: Material| {
+            material.textures.move_by(first_texture);
+            let name = format!("{file}: {}", material.name);
+            let taken = self.materials.iter().any(|other| other.name == name);
+            // The file has been read before.
+            Material { name: if taken { format!("{name} [{place}]") } else { name }, ..material }
+        };
+        let materials: Vec<Material> = materials.into_iter().map(named).collect();
+        self.materials.extend(materials);
+    }
 }
 
 /// The index of a material, or which name may have been meant.
@@ -248,6 +383,8 @@ pub(super) fn material_index(name: &str, names: &MaterialNames) -> Result<usize,
 fn unknown_type(fields: &Fields<'_>, given: &str, known: &[&str]) -> Fault {
     let translation = match given {
         "glass" => "; use \"dielectric\"".to_owned(),
+        "conductor" | "ggx" => "; use \"metal\"".to_owned(),
+        "pbr" | "principled" => "; use \"metallic-roughness\"".to_owned(),
         "lambert" | "lambertian" | "matte" => "; use \"diffuse\"".to_owned(),
         "emitter" | "light" | "emissive" => "; use \"diffuse\" and give it an emission".to_owned(),
         _ => suggestion(given, known.iter().copied()),

@@ -2,11 +2,11 @@
 
 use std::fs::File;
 use std::io::{ErrorKind, Read};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::document::Node;
 use super::error::{Fault, quoted};
-use super::{Scene, SceneError, description};
+use super::{Scene, SceneError, description, model};
 
 /// Larger files are refused unread.
 const LARGEST_FILE: u64 = 64 << 20;
@@ -18,16 +18,40 @@ enum Format {
 }
 
 impl Scene {
-    /// Reads and validates a `.toml` or `.json` file.
+    /// Reads and validates a `.toml` or `.json` scene file, or a model that is to be a scene of its own: glTF 2.0 (`.gltf`,
+    /// `.glb`), `.ply` or `.obj`.
+    ///
+    /// A model is seen by the first of its cameras, 640 pixels wide or high, 64 samples per pixel. Without a camera it is seen
+    /// whole, from above right; without a light it stands under an even white sky of radiance 0.5. Whatever was chosen,
+    /// repaired or left out, [`file_warnings`](Self::file_warnings) says.
     ///
     /// # Errors
-    /// Files that are missing, not regular, above 64 MiB, not UTF-8 or of another extension; malformed text; mesh files
-    /// outside the scene's folder or with anything wrong; and everything that [`validate`](Self::validate) refuses. Each
-    /// error names the file.
+    /// Files that are missing, not regular, above 64 MiB (2 GiB for models), not UTF-8 or of another extension; malformed
+    /// text; mesh files outside the scene's folder or with anything wrong; models that need extensions of glTF which are not
+    /// read, or files outside their own folder; and everything that [`validate`](Self::validate) refuses. Each error names the
+    /// file.
     pub fn load(path: impl AsRef<Path>) -> Result<Self, SceneError> {
-        let path = path.as_ref();
+        Self::load_seen_by(path.as_ref(), None)
+    }
+
+    /// The same, seen by that one of a model's cameras. They have the names of their nodes, else their own, else `camera 0`,
+    /// `camera 1`, … in the order of the file.
+    ///
+    /// # Errors
+    /// As [`load`](Self::load), and where there is no such camera; a scene file's camera has no name.
+    pub fn load_with_camera(path: impl AsRef<Path>, camera: &str) -> Result<Self, SceneError> {
+        Self::load_seen_by(path.as_ref(), Some(camera))
+    }
+
+    fn load_seen_by(path: &Path, camera: Option<&str>) -> Result<Self, SceneError> {
+        if model::is_model(path) {
+            return model::load_whole(path, camera);
+        }
         let refuse = |problem| SceneError::File { path: path.to_owned(), problem };
         let text = read(path).map_err(refuse)?;
+        if camera.is_some() {
+            return Err(refuse("has one camera, which has no name; leave the name out".to_owned()));
+        }
         let tree = match format(path).map_err(refuse)? {
             Format::Toml => not_empty(&text).and_then(Node::from_toml),
             Format::Json => not_empty(&text).and_then(Node::from_json),
@@ -69,8 +93,12 @@ fn format(path: &Path) -> Result<Format, String> {
     match extension.to_ascii_lowercase().as_str() {
         "toml" => Ok(Format::Toml),
         "json" => Ok(Format::Json),
-        "" => Err("has no extension; scene files end in .toml or .json".to_owned()),
-        other => Err(format!("has the extension {}; scene files end in .toml or .json", quoted(other))),
+        "" => Err("has no extension; scene files end in .toml or .json, models in .glb, .gltf, .ply or .obj"
+            .to_owned()),
+        other => Err(format!(
+            "has the extension {}; scene files end in .toml or .json, models in .glb, .gltf, .ply or .obj",
+            quoted(other)
+        )),
     }
 }
 
@@ -99,5 +127,20 @@ pub(super) fn io_problem(error: &std::io::Error) -> String {
         ErrorKind::NotFound => "no such file; check the path".to_owned(),
         ErrorKind::PermissionDenied => "can't be read: permission denied; check its mode".to_owned(),
         _ => format!("can't be read: {error}"),
+    }
+}
+
+/// The file that a scene in this folder calls so; links and `..` are followed, and must stay within. `Err` says what is wrong.
+pub(super) fn within_folder(folder: Option<&Path>, name: &str) -> Result<PathBuf, String> {
+    let folder =
+        folder.ok_or("is looked for beside the scene, which has no folder; load the scene from a file")?;
+    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    let folder = folder.canonicalize().map_err(|error| io_problem(&error))?;
+    let path = folder.join(name).canonicalize().map_err(|error| io_problem(&error))?;
+    match path.starts_with(&folder) {
+        true => Ok(path),
+        false => {
+            Err("lies outside the scene's folder; copy it there and name it relative to the scene".to_owned())
+        }
     }
 }

@@ -18,7 +18,8 @@
 //! [render]
 //! spp = 64                    # default, as is every key of [render]
 //! [materials.white]
-//! type = "diffuse"            # or mirror, glossy, dielectric
+//! type = "diffuse"            # or mirror, glossy, dielectric, metal,
+//!                             # metallic-roughness, rough-dielectric
 //! color = [0.7, 0.7, 0.7]
 //! [materials.lamp]
 //! type = "diffuse"
@@ -35,13 +36,22 @@
 //! size = [1, 1, 1]
 //! rotate_y_deg = 30
 //! material = "white"
+//! [materials.brick]
+//! type = "diffuse"
+//! color = [1, 1, 1]           # default where there is a color_texture, which it multiplies
+//! color_texture = "brick.png" # .png or .jpg beside the scene; also emission_texture, normal_texture
+//! normal_scale = 1            # default; of normal_texture
+//! texture_wrap = "repeat"     # default; or clamp, mirror
 //! [[shapes]]
-//! type = "mesh"               # triangles of a .ply or .obj file beside the scene
+//! type = "mesh"               # triangles of a .ply, .obj, .gltf or .glb file beside the scene
 //! file = "meshes/blob.ply"
+//! smooth = true               # default where the file has normals; false ignores them
 //! scale = 0.5                 # default 1, then rotate_y_deg, then translate
 //! translate = [0, 1, 0]
-//! material = "white"
+//! material = "white"          # may be left out for .gltf and .glb, which have materials of their own
 //! ```
+//!
+//! A .gltf, .glb, .ply or .obj file is a scene by itself, too: see [`Scene::load`].
 
 mod boxes;
 pub mod bvh;
@@ -50,8 +60,13 @@ pub mod camera;
 mod coincidence;
 pub mod compiled;
 mod mesh;
+mod model;
 pub mod rows;
+pub mod shading;
 pub mod shapes;
+pub mod surfaces;
+pub mod texels;
+mod texture;
 pub mod triangle;
 
 mod builder;
@@ -73,6 +88,7 @@ use glam::DVec3;
 pub use builder::SceneBuilder;
 pub use error::{Place, SceneError};
 pub use mesh::{Mesh, MeshData, Placement, Repairs};
+pub use texture::{MaterialTextures, Texture, TextureRef, Wrap};
 pub use validate::check_image_size;
 pub use warning::SceneWarning;
 
@@ -89,10 +105,14 @@ pub struct Scene {
     pub environment: DVec3,
     /// Sorted by name when read from a file, in order of addition when built.
     pub materials: Vec<Material>,
+    /// Images that materials refer to.
+    pub textures: Vec<Texture>,
     /// In the order of the file; a box has become six quads.
     pub shapes: Vec<Shape>,
     /// How it should be rendered unless asked otherwise.
     pub defaults: Defaults,
+    /// What was repaired, left out or chosen when files of models were read; [`warnings`](Self::warnings) tells it too.
+    pub file_warnings: Vec<SceneWarning>,
 }
 
 /// A pinhole camera. A pixel's samples cover exactly that pixel; row 0 is the top.
@@ -140,6 +160,8 @@ pub struct Material {
     pub kind: MaterialKind,
     /// Radiance leaving the side of the outward normal only; ≥ 0, black for most. Any kind may emit.
     pub emission: DVec3,
+    /// Images for what it says, on quads and on meshes with texture coordinates.
+    pub textures: MaterialTextures,
 }
 
 /// How a surface reflects. Colours are per channel, ≥ 0; above 1 they add energy ([`SceneWarning::AlbedoAboveOne`]).
@@ -171,6 +193,33 @@ pub enum MaterialKind {
         /// Refractive index of the inside over the outside, 1 to 10.
         ior: f64,
     },
+    /// Rough metal, on both sides: GGX microfacets (Walter et al. 2007) that reflect by Schlick's approximation. Light scatters
+    /// once, so that rough ones lose some: 3 % on average at a roughness of 0.5, 40 % at 1.
+    Metal {
+        /// Reflectance head on; at grazing angles all is reflected.
+        color: DVec3,
+        /// 0 (taken for 0.032, [`SceneWarning::Smoothed`]) to 1; GGX's α is its square.
+        roughness: f64,
+    },
+    /// glTF 2.0's metallic-roughness model (its appendix B), on both sides: a metal, or a diffuse base under a coat that
+    /// reflects 4 % head on, or between the two.
+    MetallicRoughness {
+        /// Albedo of the base, reflectance of the metal head on.
+        color: DVec3,
+        /// 0 (coated base) to 1 (metal).
+        metallic: f64,
+        /// Of metal and coat, as in [`Metal`](MaterialKind::Metal).
+        roughness: f64,
+    },
+    /// Rough glass: GGX microfacets that reflect or refract by Fresnel's equations (Walter et al. 2007).
+    RoughDielectric {
+        /// Multiplies each reflection and each refraction.
+        tint: DVec3,
+        /// Refractive index of the inside over the outside, 1 to 10.
+        ior: f64,
+        /// As in [`Metal`](MaterialKind::Metal).
+        roughness: f64,
+    },
 }
 
 impl MaterialKind {
@@ -178,7 +227,18 @@ impl MaterialKind {
     pub fn color(&self) -> DVec3 {
         match *self {
             Self::Diffuse { color } | Self::Mirror { color, .. } | Self::Glossy { color, .. } => color,
-            Self::Dielectric { tint, .. } => tint,
+            Self::Metal { color, .. } | Self::MetallicRoughness { color, .. } => color,
+            Self::Dielectric { tint, .. } | Self::RoughDielectric { tint, .. } => tint,
+        }
+    }
+
+    /// The roughness, 0 to 1, of kinds with microfacets.
+    pub fn roughness(&self) -> Option<f64> {
+        match *self {
+            Self::Metal { roughness, .. }
+            | Self::MetallicRoughness { roughness, .. }
+            | Self::RoughDielectric { roughness, .. } => Some(roughness),
+            _ => None,
         }
     }
 }
@@ -204,9 +264,30 @@ impl Material {
         Self::of(MaterialKind::Dielectric { tint: tint.into(), ior })
     }
 
+    /// Rough metal that reflects `color` head on; `roughness` 0 to 1.
+    pub fn metal(color: impl Into<DVec3>, roughness: f64) -> Self {
+        Self::of(MaterialKind::Metal { color: color.into(), roughness })
+    }
+
+    /// glTF's material; `metallic` and `roughness` 0 to 1.
+    pub fn metallic_roughness(color: impl Into<DVec3>, metallic: f64, roughness: f64) -> Self {
+        Self::of(MaterialKind::MetallicRoughness { color: color.into(), metallic, roughness })
+    }
+
+    /// Rough glass of refractive index `ior` (1 to 10); `roughness` 0 to 1.
+    pub fn rough_dielectric(tint: impl Into<DVec3>, ior: f64, roughness: f64) -> Self {
+        Self::of(MaterialKind::RoughDielectric { tint: tint.into(), ior, roughness })
+    }
+
     /// The same material, emitting `radiance` from the side of the outward normal.
     pub fn emitting(mut self, radiance: impl Into<DVec3>) -> Self {
         self.emission = radiance.into();
+        self
+    }
+
+    /// The same material with these textures.
+    pub fn textured(mut self, textures: MaterialTextures) -> Self {
+        self.textures = textures;
         self
     }
 
@@ -216,7 +297,7 @@ impl Material {
     }
 
     fn of(kind: MaterialKind) -> Self {
-        Self { name: String::new(), kind, emission: DVec3::ZERO }
+        Self { name: String::new(), kind, emission: DVec3::ZERO, textures: MaterialTextures::default() }
     }
 }
 

@@ -3,6 +3,7 @@
 //! GPU twin: kernels/scene/data.wesl
 
 use super::compiled::{CompiledScene, Light, Material, Quad, Sphere, Triangle};
+use super::surfaces::{MaterialMaps, Surfaces, TextureImage, TriangleNormals, TriangleUvs};
 use crate::layout::GpuStruct;
 use std::mem::offset_of;
 use std::ops::Range;
@@ -26,6 +27,10 @@ impl<'a> Part<'a> {
         Part { rows: bytemuck::cast_slice(items), rows_per_item: T::ROWS, wanted }
     }
 
+    fn of_rows(rows: &'a [Row]) -> Self {
+        Part { rows, rows_per_item: 1, wanted: 0..1 }
+    }
+
     fn len(&self) -> usize {
         self.rows.len() / self.rows_per_item * self.wanted.len()
     }
@@ -36,7 +41,8 @@ impl<'a> Part<'a> {
 }
 
 /// The parts in the order in which they lie in the buffer.
-fn parts(scene: &CompiledScene) -> [Part<'_>; 8] {
+fn parts(scene: &CompiledScene) -> [Part<'_>; 14] {
+    let Surfaces { normals, uvs, maps, images, texels, srgb, .. } = &scene.surfaces;
     let nodes = scene.bvh.as_ref().map_or(&[][..], |bvh| &bvh.rows);
     [
         Part::new(&scene.spheres, 0..SPHERE_HOT_ROWS),
@@ -46,7 +52,13 @@ fn parts(scene: &CompiledScene) -> [Part<'_>; 8] {
         Part::new(&scene.triangles, 0..Triangle::ROWS),
         Part::new(&scene.materials, 0..Material::ROWS),
         Part::new(&scene.lights, 0..Light::ROWS),
-        Part { rows: nodes, rows_per_item: 1, wanted: 0..1 },
+        Part::of_rows(nodes),
+        Part::new(normals, 0..TriangleNormals::ROWS),
+        Part::new(uvs, 0..TriangleUvs::ROWS),
+        Part::new(maps, 0..MaterialMaps::ROWS),
+        Part::new(images, 0..TextureImage::ROWS),
+        Part::of_rows(texels),
+        Part::of_rows(srgb),
     ]
 }
 
@@ -88,7 +100,7 @@ fn aligned_rows(quad: &Quad, axis: usize) -> [Row; ALIGNED_ROWS] {
 }
 
 /// The number of the first row of each part.
-pub fn first_rows(scene: &CompiledScene) -> [u32; 8] {
+pub fn first_rows(scene: &CompiledScene) -> [u32; 14] {
     let mut next = 0;
     parts(scene).map(|part| {
         let first = next;
@@ -167,7 +179,7 @@ mod tests {
             }
             assert_eq!(
                 rows.len(),
-                2 * spheres + 6 * quads + 3 * triangles + 2 * 4 + 2 * 5,
+                2 * spheres + 6 * quads + 3 * triangles + 3 * 4 + 2 * 5,
                 "nothing lies there twice"
             );
         }

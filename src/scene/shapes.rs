@@ -2,8 +2,9 @@
 //! quads, then triangles. GPU twin: kernels/scene/shapes.wesl
 
 use super::compiled::{CompiledScene, Quad, ShapeIndex, Sphere, Triangle};
+use super::shading::{Tangents, smooth_normal, triangle_shares, triangle_tangents, triangle_uv};
 use super::triangle::{double_area, intersect_triangle, onto_triangle, ray_shear};
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 
 #[derive(Clone, Copy, Debug)]
 pub struct Ray {
@@ -33,6 +34,21 @@ pub struct Surface {
     pub normal: Vec3,
     /// How far a new ray must start from `position` along the normal to be safely on its side.
     pub offset: f32,
+    /// On the outer side as well: of a smooth mesh the one between those at its corners, else `normal`.
+    pub shading_normal: Vec3,
+    /// Where it lies in textures, if the scene has any.
+    pub uv: Vec2,
+    /// Which way these coordinates grow, if the scene has normal maps.
+    pub tangents: Tangents,
+}
+
+impl Surface {
+    /// One without normals of its own and without texture coordinates.
+    #[inline(always)]
+    pub fn plain(position: Vec3, normal: Vec3, offset: f32) -> Surface {
+        let (uv, tangents) = (Vec2::ZERO, Tangents::default());
+        Surface { position, normal, offset, shading_normal: normal, uv, tangents }
+    }
 }
 
 /// Farther than anything; a miss has this distance.
@@ -132,6 +148,49 @@ fn largest(v: Vec3) -> f32 {
     v.abs().max_element()
 }
 
+/// Where a quad has texture coordinates: (0, 1) at its corner, so that an image stands upright along e2.
+#[inline]
+fn textured_quad(scene: &CompiledScene, surface: Surface, i: usize) -> Surface {
+    let Quad { e1, e2, .. } = scene.quads[i];
+    Surface { uv: quad_uv(scene, i, surface.position), tangents: Tangents { u: e1, up: e2 }, ..surface }
+}
+
+#[inline]
+fn quad_uv(scene: &CompiledScene, i: usize, p: Vec3) -> Vec2 {
+    let Quad { corner, dual1, dual2, .. } = scene.quads[i];
+    let from_corner = p - corner;
+    Vec2::new(dual1.dot(from_corner), 1.0 - dual2.dot(from_corner))
+}
+
+/// What a triangle's corners say of the point between them.
+#[inline]
+fn shaded_triangle(scene: &CompiledScene, surface: Surface, i: usize) -> Surface {
+    let Triangle { a, b, c, .. } = scene.triangles[i];
+    let shares = triangle_shares(surface.position, a, b, c);
+    let mut shaded = surface;
+    if let Some(normals) = scene.surfaces.normals.get(i) {
+        shaded.shading_normal = smooth_normal(normals, shares, surface.normal);
+    }
+    if let Some(uvs) = scene.surfaces.uvs.get(i) {
+        shaded.uv = triangle_uv(uvs, shares);
+        shaded.tangents = triangle_tangents(uvs, a, b, c);
+    }
+    shaded
+}
+
+/// Where a point of the shape lies in textures.
+#[inline]
+pub fn uv_at(scene: &CompiledScene, shape: u32, p: Vec3) -> Vec2 {
+    match scene.shape_index(shape) {
+        ShapeIndex::Sphere(_) => Vec2::ZERO,
+        ShapeIndex::Quad(i) => quad_uv(scene, i, p),
+        ShapeIndex::Triangle(i) => {
+            let Triangle { a, b, c, .. } = scene.triangles[i];
+            triangle_uv(&scene.surfaces.uvs[i], triangle_shares(p, a, b, c))
+        }
+    }
+}
+
 /// The surface where the ray hits: the point is put back onto the shape, so that its error does not grow with t.
 #[inline(always)]
 pub fn surface_at(scene: &CompiledScene, ray: Ray, hit: Hit) -> Surface {
@@ -140,26 +199,23 @@ pub fn surface_at(scene: &CompiledScene, ray: Ray, hit: Hit) -> Surface {
         ShapeIndex::Sphere(i) => {
             let Sphere { center, radius, inward, .. } = scene.spheres[i];
             let outward = (p - center).normalize();
-            Surface {
-                position: center + outward * radius,
-                normal: if inward != 0 { -outward } else { outward },
-                offset: RELATIVE_OFFSET * largest(center).max(radius),
-            }
+            let normal = if inward != 0 { -outward } else { outward };
+            let offset = RELATIVE_OFFSET * largest(center).max(radius);
+            Surface::plain(center + outward * radius, normal, offset)
         }
         ShapeIndex::Quad(i) => {
             let Quad { corner, normal, .. } = scene.quads[i];
             let position = p - normal * normal.dot(p - corner);
             let size = largest(corner).max(largest(position));
-            Surface { position, normal, offset: RELATIVE_OFFSET * size }
+            let plain = Surface::plain(position, normal, RELATIVE_OFFSET * size);
+            if scene.surfaces.is_textured() { textured_quad(scene, plain, i) } else { plain }
         }
         ShapeIndex::Triangle(i) => {
             let Triangle { a, b, c, .. } = scene.triangles[i];
             let size = largest(a).max(largest(b).max(largest(c)));
-            Surface {
-                position: onto_triangle(p, a, b, c),
-                normal: double_area(a, b, c).normalize(),
-                offset: RELATIVE_OFFSET * size,
-            }
+            let (position, normal) = (onto_triangle(p, a, b, c), double_area(a, b, c).normalize());
+            let plain = Surface::plain(position, normal, RELATIVE_OFFSET * size);
+            if scene.surfaces.changes_triangles() { shaded_triangle(scene, plain, i) } else { plain }
         }
     }
 }

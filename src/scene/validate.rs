@@ -5,7 +5,10 @@ use std::collections::HashSet;
 use glam::DVec3;
 
 use super::error::{Fault, quoted};
-use super::{Camera, Defaults, Geometry, Material, MaterialKind, Placement, Scene, SceneError, Shape};
+use super::texture::check_size;
+use super::{
+    Camera, Defaults, Geometry, Material, MaterialKind, Placement, Scene, SceneError, Shape, Texture,
+};
 
 /// `Err` says what is wrong and the remedy, without the object's name.
 type Check = Result<(), String>;
@@ -43,10 +46,17 @@ impl Scene {
             named(&object, material(item))?;
             named(&object, unique(names.insert(&item.name)))?;
         }
+        for (index, item) in self.textures.iter().enumerate() {
+            named(&format!("textures[{index}] {}", quoted(&item.name)), texture(item))?;
+        }
+        for item in &self.materials {
+            named(&material_label(&item.name), textures_exist(item, self.textures.len()))?;
+        }
         for (index, shape) in self.shapes.iter().enumerate() {
             let object = shape_label(index, shape.name.as_deref());
             named(&object, geometry(&shape.geometry))?;
             named(&object, material_exists(shape, self.materials.len()))?;
+            named(&object, takes_textures(shape, &self.materials[shape.material]))?;
         }
         Ok(())
     }
@@ -128,6 +138,10 @@ pub(super) fn defaults(defaults: &Defaults) -> Check {
 pub(super) fn material(material: &Material) -> Check {
     ensure(!material.name.is_empty(), || "has no name; give it one that shapes can refer to".into())?;
     light("emission", material.emission)?;
+    finite("normal_scale", material.textures.normal_scale)?;
+    ensure(material.textures.metallic_roughness.is_none() || has_roughness(&material.kind), || {
+        "metallic_roughness_texture is for materials of type \"metallic-roughness\"; remove it".into()
+    })?;
     match material.kind {
         MaterialKind::Diffuse { color } => light("color", color),
         MaterialKind::Mirror { color, level } => {
@@ -150,6 +164,63 @@ pub(super) fn material(material: &Material) -> Check {
             light("tint", tint)?;
             refractive_index(ior)
         }
+        MaterialKind::Metal { color, roughness } => {
+            light("color", color)?;
+            share("roughness", roughness, "0 is smooth, 1 the roughest")
+        }
+        MaterialKind::MetallicRoughness { color, metallic, roughness } => {
+            light("color", color)?;
+            share("metallic", metallic, "0 is plastic, 1 is metal")?;
+            share("roughness", roughness, "0 is smooth, 1 the roughest")
+        }
+        MaterialKind::RoughDielectric { tint, ior, roughness } => {
+            light("tint", tint)?;
+            refractive_index(ior)?;
+            share("roughness", roughness, "0 is smooth, 1 the roughest")
+        }
+    }
+}
+
+fn share(key: &str, number: f64, meaning: &str) -> Check {
+    finite(key, number)?;
+    ensure((0.0..=1.0).contains(&number), || format!("{key} {number} is not within 0 to 1; {meaning}"))
+}
+
+/// Whether a texture may say how rough and how metallic the kind is.
+fn has_roughness(kind: &MaterialKind) -> bool {
+    matches!(kind, MaterialKind::MetallicRoughness { .. })
+}
+
+fn texture(texture: &Texture) -> Check {
+    check_size(texture.width, texture.height)?;
+    let needed = 4 * texture.width as usize * texture.height as usize;
+    ensure(texture.rgba.len() == needed, || {
+        format!("has {} bytes of texels; give it {needed}, 4 for each", texture.rgba.len())
+    })
+}
+
+fn textures_exist(material: &Material, count: usize) -> Check {
+    let missing = material.textures.each().find(|(_, texture)| texture.texture >= count);
+    match missing {
+        None => Ok(()),
+        Some((key, texture)) => {
+            Err(format!("{key} has index {}, out of range; there are {count} textures", texture.texture))
+        }
+    }
+}
+
+/// Whether the shape has the coordinates that the textures of its material need.
+fn takes_textures(shape: &Shape, material: &Material) -> Check {
+    let label = material_label(&material.name);
+    match &shape.geometry {
+        _ if !material.textures.any() => Ok(()),
+        Geometry::Quad { .. } => Ok(()),
+        Geometry::Sphere { .. } => Err(format!("{label} has textures, which spheres can't take; use a mesh")),
+        Geometry::Mesh(mesh) => ensure(mesh.has_uvs(), || {
+            format!(
+                "{label} has textures, but the mesh no texture coordinates; write it with them, or use another material"
+            )
+        }),
     }
 }
 

@@ -3,6 +3,7 @@
 use std::fmt;
 
 use super::coincidence::coincident;
+use super::compiled::LEAST_ALPHA;
 use super::error::quoted;
 use super::resolution::Resolution;
 use super::validate::shape_label;
@@ -21,6 +22,15 @@ pub enum SceneWarning {
         /// The largest channel.
         largest: f64,
     },
+    /// A roughness that is taken for a greater one, since the highlights are narrower than f32 directions can tell.
+    Smoothed {
+        /// The material's name.
+        material: String,
+        /// As given.
+        roughness: f64,
+        /// What it is taken for.
+        least: f64,
+    },
     /// A lamp coincides with another shape: rounding decides which of the two a ray meets.
     FlushLamp {
         /// The lamp, as errors call it.
@@ -28,12 +38,21 @@ pub enum SceneWarning {
         /// The shape in whose surface it lies.
         other: String,
     },
-    /// Triangles that were left out of a mesh.
+    /// Triangles that were left out of meshes, and normals and texture coordinates that were replaced.
     MeshRepaired {
-        /// The mesh, as errors call it.
+        /// The first such mesh, as errors call it.
         mesh: String,
-        /// How many of which kind.
+        /// How many of which kind, in all meshes.
         repairs: Repairs,
+        /// How many other meshes there are.
+        others: usize,
+    },
+    /// Something in a file of a model that was repaired, left out or chosen.
+    InFile {
+        /// Its name.
+        file: String,
+        /// Where in it, what was done, and the remedy.
+        problem: String,
     },
     /// Shapes are so small, so far from the origin, that rays leave them at a distance that matters.
     BelowResolution {
@@ -61,16 +80,22 @@ impl fmt::Display for SceneWarning {
                 "material {}: a color of {largest} is above 1, so each bounce adds energy; lower it to 1 or less",
                 quoted(material)
             ),
+            Self::Smoothed { material, roughness, least } => write!(
+                f,
+                "material {}: a roughness of {roughness} is taken for {least:.3}, below which highlights are too narrow for \
+                 32 bits; for perfect smoothness use a mirror or a dielectric",
+                quoted(material)
+            ),
             Self::FlushLamp { lamp, other } => write!(
                 f,
                 "{lamp} lies in the surface of {other}, so rounding decides which of the two a ray meets; move the lamp \
                  off it a little, to the side that it lights"
             ),
-            Self::MeshRepaired { mesh, repairs: Repairs { degenerate, duplicate } } => write!(
-                f,
-                "{mesh}: left out {degenerate} triangles without area and {duplicate} that repeat another; clean the mesh \
-                 to be rid of this"
-            ),
+            Self::MeshRepaired { mesh, repairs, others } => {
+                let more = if *others > 0 { format!(" (and {others} more)") } else { String::new() };
+                write!(f, "{mesh}{more}: {}; clean the mesh to be rid of this", repairs_made(repairs))
+            }
+            Self::InFile { file, problem } => write!(f, "{file}: {problem}"),
             Self::BelowResolution { shape, size, offset, others } => {
                 let more = if *others > 0 { format!(" (and {others} more)") } else { String::new() };
                 write!(
@@ -86,25 +111,36 @@ impl fmt::Display for SceneWarning {
 impl Scene {
     /// What is odd about this scene; empty for most.
     pub fn warnings(&self) -> Vec<SceneWarning> {
-        let mut warnings = Vec::new();
+        let mut warnings = self.file_warnings.clone();
         if !self.has_light() {
             warnings.push(SceneWarning::NoLight);
         }
         warnings.extend(self.materials.iter().filter_map(albedo_warning));
+        warnings.extend(self.materials.iter().filter_map(roughness_warning));
         warnings.extend(self.flush_lamps());
         warnings.extend(self.repaired_meshes());
         warnings.extend(self.below_resolution());
         warnings
     }
 
-    /// One warning for each mesh that has lost triangles.
-    fn repaired_meshes(&self) -> impl Iterator<Item = SceneWarning> + '_ {
-        self.shapes.iter().enumerate().filter_map(|(index, shape)| {
+    /// One warning for all meshes that have lost triangles.
+    fn repaired_meshes(&self) -> Option<SceneWarning> {
+        let repaired = self.shapes.iter().enumerate().filter_map(|(index, shape)| {
             let Geometry::Mesh(mesh) = &shape.geometry else { return None };
-            let (repairs, name) = (mesh.repairs(), shape.name.as_deref());
-            (repairs != Repairs::default())
-                .then(|| SceneWarning::MeshRepaired { mesh: shape_label(index, name), repairs })
-        })
+            (mesh.repairs() != Repairs::default()).then(|| (index, mesh.repairs()))
+        });
+        let repaired: Vec<(usize, Repairs)> = repaired.collect();
+        let &(first, _) = repaired.first()?;
+        let sum = |of: fn(&Repairs) -> usize| repaired.iter().map(|(_, repairs)| of(repairs)).sum();
+        let repairs = Repairs {
+            degenerate: sum(|repairs| repairs.degenerate),
+            duplicate: sum(|repairs| repairs.duplicate),
+            normals: sum(|repairs| repairs.normals),
+            turned: repaired.iter().any(|(_, repairs)| repairs.turned),
+            uvs: sum(|repairs| repairs.uvs),
+        };
+        let mesh = shape_label(first, self.shapes[first].name.as_deref());
+        Some(SceneWarning::MeshRepaired { mesh, repairs, others: repaired.len() - 1 })
     }
 
     /// One warning for all shapes that are too small where they are.
@@ -144,4 +180,33 @@ impl Scene {
 fn albedo_warning(material: &Material) -> Option<SceneWarning> {
     let largest = material.kind.color().max_element();
     (largest > 1.0).then(|| SceneWarning::AlbedoAboveOne { material: material.name.clone(), largest })
+}
+
+fn roughness_warning(material: &Material) -> Option<SceneWarning> {
+    let (roughness, least) = (material.kind.roughness()?, f64::from(LEAST_ALPHA).sqrt());
+    let name = || material.name.clone();
+    (roughness < least).then(|| SceneWarning::Smoothed { material: name(), roughness, least })
+}
+
+/// What was done to a mesh, in words.
+fn repairs_made(repairs: &Repairs) -> String {
+    let Repairs { degenerate, duplicate, normals, turned, uvs } = *repairs;
+    let mut made = Vec::new();
+    if degenerate + duplicate > 0 {
+        made.push(format!(
+            "left out {degenerate} triangles without area and {duplicate} that repeat another"
+        ));
+    }
+    if turned {
+        made.push("turned all normals around, since most point inwards".to_owned());
+    }
+    if normals > 0 {
+        made.push(format!(
+            "took the triangle's own normal at {normals} corners, whose normals are zero, no numbers or point inwards"
+        ));
+    }
+    if uvs > 0 {
+        made.push(format!("took 0 for {uvs} texture coordinates that are no numbers or beyond 1e6"));
+    }
+    made.join("; ")
 }

@@ -7,7 +7,7 @@ use super::light::{choose_light, pdf_light, sample_light};
 use super::roulette::Roulette;
 use super::split::{SEED_SHIFT, Share, bounce_of, budget_of, copies_of, pack_bounce, share_of};
 use crate::accel::Search;
-use crate::bsdf::{BsdfSample, bsdf_evaluate, bsdf_sample};
+use crate::bsdf::{BsdfSample, bsdf_evaluate, bsdf_sample, is_black};
 use crate::guiding::octant::Draws;
 use crate::guiding::table::GuidedDensity;
 use crate::guiding::{Trail, Transition};
@@ -15,8 +15,12 @@ use crate::math::{luminance, mis_weight};
 use crate::random::{DIMENSION_CAMERA, SampleKey, Sampler, dimension_bsdf, dimension_light, sample4};
 use crate::sampling::pdf_cosine;
 use crate::scene::camera::camera_ray;
-use crate::scene::compiled::{CompiledScene, KIND_DIELECTRIC, KIND_MIRROR, Material, Uniforms};
-use crate::scene::shapes::{Hit, Ray, Surface, shape_info, spawn_ray, surface_at};
+use crate::scene::compiled::{
+    CompiledScene, KIND_DIELECTRIC, KIND_MIRROR, KIND_ROUGH_DIELECTRIC, Material, Uniforms,
+};
+use crate::scene::shading::{keeps_side, viewed_normal};
+use crate::scene::shapes::{Hit, Ray, Surface, shape_info, spawn_ray, surface_at, uv_at};
+use crate::scene::texels::{textured, textured_emission};
 use glam::{Vec3, Vec4, Vec4Swizzles};
 
 /// Everything a stage function may read: the scene, the numbers of the frame, the choice of estimators.
@@ -42,7 +46,7 @@ pub const LEAST_THROUGHPUT: f32 = 7.888_609e-31;
 
 /// What shading decides at one hit.
 #[derive(Clone, Debug, Default)]
-pub struct ShadeOutcome<'a> {
+pub struct ShadeOutcome {
     /// Radiance that this hit itself emits towards the camera, times throughput.
     pub emitted: Vec3,
     /// If nothing is in its way, its radiance counts.
@@ -52,7 +56,7 @@ pub struct ShadeOutcome<'a> {
     /// What it remembers of this surface.
     pub trail: Trail,
     /// Boxed, since few paths are split.
-    pub split: Option<Box<Split<'a>>>,
+    pub split: Option<Box<Split>>,
     /// What is learnt here, but for the shadow ray.
     pub transition: Transition,
     /// What the transition's slot learns besides if nothing is in the shadow ray's way.
@@ -67,19 +71,27 @@ pub struct Departure<'a> {
     trail: &'a Trail,
     surface: &'a Surface,
     material: &'a Material,
-    /// On the side from which the ray came.
+    /// On the side from which the ray came: the shading normal, where there is one.
     normal: Vec3,
     outside: bool,
     point: Option<&'a GuidePoint>,
 }
 
+impl Departure<'_> {
+    /// The shape's normal, on the side from which the ray came.
+    #[inline(always)]
+    fn facing(&self) -> Vec3 {
+        if self.outside { self.surface.normal } else { -self.surface.normal }
+    }
+}
+
 /// A path that goes on as several copies: [`Transport::copy_of`] makes those but the first, from where it leaves.
 #[derive(Clone, Copy, Debug)]
-pub struct Split<'a> {
+pub struct Split {
     ray: RayItem,
     trail: Trail,
     surface: Surface,
-    material: &'a Material,
+    material: Material,
     normal: Vec3,
     outside: bool,
     point: Option<GuidePoint>,
@@ -88,7 +100,7 @@ pub struct Split<'a> {
     pub copies: u32,
 }
 
-impl Split<'_> {
+impl Split {
     fn at(&self) -> Departure<'_> {
         let Split { ray, trail, surface, material, normal, outside, point, .. } = self;
         let (normal, outside, point) = (*normal, *outside, point.as_ref());
@@ -195,17 +207,30 @@ impl<'a> Transport<'a> {
         let u = sample4(self.sampler, key, dimension_light(bounce_of(ray)));
         let light = &self.scene.lights[choose_light(self.scene, u.x) as usize];
         // The point that the continued ray will leave from, so that both strategies measure the light from the same place.
-        let origin = spawn_ray(surface, normal).origin;
-        let towards = sample_light(self.scene, origin, light.shape, u.yz());
-        if towards.pdf <= 0.0 {
+        let outside = ray.direction.dot(surface.normal) < 0.0;
+        let facing = if outside { surface.normal } else { -surface.normal };
+        let mut origin = spawn_ray(surface, facing).origin;
+        let mut towards = sample_light(self.scene, origin, light.shape, u.yz());
+        if material.kind == KIND_ROUGH_DIELECTRIC && towards.wi.dot(facing) < 0.0 {
+            // Through the surface it leaves from its other side.
+            origin = spawn_ray(surface, -facing).origin;
+            towards = sample_light(self.scene, origin, light.shape, u.yz());
+        }
+        if towards.pdf <= 0.0 || !keeps_side(normal, facing, towards.wi) {
             return None;
         }
-        let bsdf = bsdf_evaluate(material, normal, -ray.direction, towards.wi);
+        let bsdf = bsdf_evaluate(material, normal, -ray.direction, outside, towards.wi);
         if bsdf.value.max_element() <= 0.0 {
             return None;
         }
         let pdf = light.pick_probability * towards.pdf;
-        let emission = self.scene.materials[light.material as usize].emission;
+        let emission = match self.scene.surfaces.textured_lamps {
+            false => self.scene.materials[light.material as usize].emission,
+            true => {
+                let lit = uv_at(self.scene, light.shape, origin + towards.wi * towards.t);
+                textured_emission(self.scene, light.material, lit)
+            }
+        };
         Some(ShadowItem {
             origin,
             t_max: towards.t * SHADOW_END,
@@ -256,7 +281,7 @@ impl<'a> Transport<'a> {
     /// The ray with which a path goes on in that direction, with these places; None if nothing can come of it.
     fn go_on(&self, at: &Departure, scattered: &BsdfSample, survival: f32, own: Share) -> Option<RayItem> {
         let carried = at.ray.throughput * scattered.weight;
-        if carried.max_element() <= LEAST_THROUGHPUT {
+        if carried.max_element() <= LEAST_THROUGHPUT || !keeps_side(at.normal, at.facing(), scattered.wi) {
             return None;
         }
         let next = spawn_ray(at.surface, scattered.wi);
@@ -272,21 +297,33 @@ impl<'a> Transport<'a> {
 
     /// Everything that happens where a ray meets a surface.
     #[inline(always)]
-    pub fn shade(&self, ray: &RayItem, trail: &Trail, hit: Hit) -> ShadeOutcome<'a> {
-        let surface = surface_at(self.scene, Ray { origin: ray.origin, direction: ray.direction }, hit);
-        let material = &self.scene.materials[shape_info(self.scene, hit.shape).material as usize];
+    pub fn shade(&self, ray: &RayItem, trail: &Trail, hit: Hit) -> ShadeOutcome {
+        let mut surface = surface_at(self.scene, Ray { origin: ray.origin, direction: ray.direction }, hit);
+        let index = shape_info(self.scene, hit.shape).material;
+        let own;
+        let material = match self.scene.surfaces.is_textured() {
+            false => &self.scene.materials[index as usize],
+            true => {
+                own = textured(self.scene, index, &mut surface);
+                &own
+            }
+        };
         let emission = self.emission(ray, hit, &surface, material);
         let mut outcome = ShadeOutcome { emitted: ray.throughput * emission, ..Default::default() };
         outcome.transition =
             Transition { slot: trail.slot, value: luminance(emission) * trail.weight, ..Default::default() };
         let bounce = bounce_of(ray);
-        if bounce + 1 >= self.uniforms.max_bounces || material.color.max_element() <= 0.0 {
+        if bounce + 1 >= self.uniforms.max_bounces || is_black(material) {
             return outcome;
         }
 
         let key = self.sample_key(ray.path);
         let outside = ray.direction.dot(surface.normal) < 0.0;
-        let normal = if outside { surface.normal } else { -surface.normal };
+        let facing = if outside { surface.normal } else { -surface.normal };
+        let normal = match self.scene.surfaces.bends_normals() {
+            false => facing,
+            true => viewed_normal(&surface, facing, outside, -ray.direction, material.kind),
+        };
         let point = self.guide_point(&surface, normal, material);
         let point = point.as_ref();
         if let Some(point) = point {
@@ -312,7 +349,7 @@ impl<'a> Transport<'a> {
             outcome.ray = self.go_on(&at, &scattered, survival, share_of(whole, copies, 0));
         }
         if copies > 1 {
-            let (ray, trail, point) = (*ray, *trail, point.copied());
+            let (ray, trail, material, point) = (*ray, *trail, *material, point.copied());
             let split = Split { ray, trail, surface, material, normal, outside, point, survival, copies };
             outcome.split = Some(Box::new(split));
         }

@@ -6,7 +6,7 @@ use super::path::Transport;
 use super::split::{bounce_of, budget_of};
 use crate::math::luminance;
 use crate::random::SampleKey;
-use crate::scene::compiled::{KIND_DIELECTRIC, Material};
+use crate::scene::compiled::{KIND_DIELECTRIC, KIND_ROUGH_DIELECTRIC, Material};
 use glam::Vec3;
 use std::fmt;
 
@@ -67,7 +67,7 @@ impl Transport<'_> {
     /// The largest component, up to 1. Never at glass, where the solid-angle factor comes and goes.
     #[inline]
     pub fn throughput_survival(&self, throughput: Vec3, bounce: u32, kind: u32) -> f32 {
-        if bounce < ROULETTE_FROM_BOUNCE || kind == KIND_DIELECTRIC {
+        if bounce < ROULETTE_FROM_BOUNCE || kind == KIND_DIELECTRIC || kind == KIND_ROUGH_DIELECTRIC {
             return 1.0;
         }
         (throughput.max_element() * self.uniforms.roulette_scale).clamp(LEAST_SURVIVAL_BY_THROUGHPUT, 1.0)

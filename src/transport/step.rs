@@ -9,18 +9,18 @@ use glam::Vec3;
 
 /// `emitted` and `direct` are to be added to the path's radiance one after the other, as every schedule does.
 #[derive(Clone, Debug, Default)]
-pub struct StepOutcome<'a> {
+pub struct StepOutcome {
     pub emitted: Vec3,
     pub direct: Vec3,
     /// The path goes on with this ray, the first of its copies if it is `split`.
     pub ray: Option<RayItem>,
     pub trail: Trail,
-    pub split: Option<Box<Split<'a>>>,
+    pub split: Option<Box<Split>>,
 }
 
-impl<'a> Transport<'a> {
+impl Transport<'_> {
     #[inline]
-    pub fn step(&self, ray: &RayItem, trail: &Trail) -> StepOutcome<'a> {
+    pub fn step(&self, ray: &RayItem, trail: &Trail) -> StepOutcome {
         let hit = self.search.intersect(Ray { origin: ray.origin, direction: ray.direction });
         let Some(hit) = hit else {
             self.learn(&Transition {

@@ -141,6 +141,7 @@ fn a_ball_that_loses_nothing_is_invisible_before_its_background() {
         Material::glossy([1.0; 3], 0.0),
         Material::dielectric([1.0; 3], 1.5),
         Material::dielectric([1.0; 3], 1.0),
+        Material::rough_dielectric([1.0; 3], 1.0, 0.7),
     ];
     for material in materials {
         let scene = open_furnace(material.clone());

@@ -280,7 +280,7 @@ fn directions_drawn_on_the_gpu_follow_the_density_of_the_cpu() {
             let position = surface_point(77, i).0;
             let normal = Vec3::new(-0.35, 0.2 * i as f32, 0.4).normalize();
             let point =
-                transport.guide_point(&Surface { position, normal, offset: 0.0 }, normal, &material).unwrap();
+                transport.guide_point(&Surface::plain(position, normal, 0.0), normal, &material).unwrap();
             let questions: Vec<Question> =
                 (0..DRAWS).map(|sample| question(position, sample, normal)).collect();
             let answers = ask(&gpu, mode, kernel, &table, &questions);

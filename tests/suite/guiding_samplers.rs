@@ -149,7 +149,7 @@ impl World {
 
     /// What the guide knows at the `i`-th surface point, at a surface that turns `normal` that way.
     fn point(&self, i: u32, normal: Vec3, material: &Material) -> GuidePoint {
-        let surface = Surface { position: surface_point(77, i).0, normal, offset: 0.0 };
+        let surface = Surface::plain(surface_point(77, i).0, normal, 0.0);
         self.transport().guide_point(&surface, normal, material).expect("a Lambertian lobe")
     }
 }

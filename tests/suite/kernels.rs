@@ -1,6 +1,7 @@
 //! The kernels as text: they link for every key, are valid, have the layouts that Rust has, and hold only what is needed.
 
 use crate::support::{Engine, SCHEDULES, estimators, icosphere, render, root, scene, scene_names, small};
+use crate::surfaces::images::everything;
 use naga::TypeInner;
 use qtracer::film::BlockSum;
 use qtracer::gpu::key::KernelKey;
@@ -10,10 +11,12 @@ use qtracer::guiding::octant::OCTANT_DRAWS;
 use qtracer::guiding::{GuideMode, GuideUniforms, Trail, Transition, lessons, quadtree, table};
 use qtracer::layout::GpuStruct;
 use qtracer::random::{DIMENSION_CAMERA, dimension_bsdf, dimension_guide, dimension_light};
-use qtracer::scene::Material as SceneMaterial;
 use qtracer::scene::compiled::{self, CompiledScene, Light, Material, Quad, Sphere, Triangle, Uniforms};
 use qtracer::scene::shapes::{RELATIVE_OFFSET, T_MISS};
+use qtracer::scene::surfaces::{MaterialMaps, TextureImage, TriangleNormals, TriangleUvs};
 use qtracer::scene::triangle::SMALLEST_SQUARE;
+use qtracer::scene::{Geometry, Material as SceneMaterial, MaterialTextures, MeshData};
+use qtracer::scene::{shading, texels};
 use qtracer::transport::estimators::Estimators;
 use qtracer::transport::items::{HitItem, RayItem, ShadowItem};
 use qtracer::transport::path::SHADOW_END;
@@ -85,12 +88,15 @@ fn ball(material: SceneMaterial) -> Scene {
 }
 
 /// Each material kind, with the prefix of its functions in the kernels.
-fn kinds() -> [(&'static str, SceneMaterial); 4] {
+fn kinds() -> [(&'static str, SceneMaterial); 7] {
     [
         ("diffuse_", SceneMaterial::diffuse([0.5; 3])),
         ("mirror_", SceneMaterial::mirror([0.5; 3], 0.5)),
         ("glossy_", SceneMaterial::glossy([0.5; 3], 10.0)),
         ("dielectric_", SceneMaterial::dielectric([1.0; 3], 1.5)),
+        ("metal_", SceneMaterial::metal([0.5; 3], 0.5)),
+        ("metallic_roughness_", SceneMaterial::metallic_roughness([0.5; 3], 0.5, 0.5)),
+        ("rough_dielectric_", SceneMaterial::rough_dielectric([1.0; 3], 1.5, 0.5)),
     ]
 }
 
@@ -168,9 +174,94 @@ fn without_meshes_nothing_of_triangles_is_linked() {
     assert!(!bright.contains("sphere_at") && !bright.contains("quad_at"), "{bright:?}");
 }
 
+/// Names of what smooth normals, textures, normal maps and textured lamps need.
+const OF_SURFACES: [(&str, &[&str]); 4] = [
+    ("smooth_normals", &["triangle_normals_at", "unpacked_normal", "smooth_normal"]),
+    ("textures", &["triangle_uvs_at", "texels_around", "texel_word", "srgb_value", "textured_material"]),
+    ("normal_maps", &["mapped_normal", "triangle_tangents", "texture_bytes"]),
+    ("textured_lamps", &["uv_at", "textured_emission"]),
+];
+
+/// Each where its flag is, and nowhere else; whatever is on, stages link and are valid.
+#[test]
+fn surfaces_link_what_they_have_and_nothing_else() {
+    let everything = everything();
+    let without = |change: &dyn Fn(&mut Scene)| {
+        let mut scene = everything.clone();
+        change(&mut scene);
+        scene
+    };
+    let textures = |change: fn(&mut MaterialTextures)| {
+        without(&|scene| scene.materials.iter_mut().for_each(|material| change(&mut material.textures)))
+    };
+    let scenes = [
+        scene("mesh"),
+        scene("cornell-box"),
+        scene("surfaces"),
+        textures(|textures| *textures = MaterialTextures::default()),
+        textures(|textures| textures.normal = None),
+        textures(|textures| textures.emission = None),
+        textures(|textures| *textures = MaterialTextures { normal: textures.normal, ..Default::default() }),
+        everything.clone(),
+    ];
+    let mut met = BTreeSet::new();
+    for scene in &scenes {
+        for estimators in [usual(), learning(LEARNING[2])] {
+            let key = KernelKey::new(&CompiledScene::new(scene), &estimators);
+            let kernels = linked(scene, &estimators);
+            let all: BTreeSet<String> = kernels.iter().flat_map(|(_, wgsl)| names(wgsl)).collect();
+            for (flag, functions) in OF_SURFACES {
+                let on = key.flags().contains(&(flag, true));
+                met.insert((flag, on));
+                for name in functions {
+                    assert_eq!(all.contains(*name), on, "{name} of {flag} in {}", scene.name);
+                }
+            }
+        }
+    }
+    assert_eq!(met.len(), 2 * OF_SURFACES.len(), "each flag is on somewhere and off somewhere: {met:?}");
+}
+
+/// Rows: 1 of normals and 2 of coordinates for each triangle, if any has them; 2 for each material; for each image 1 and its
+/// texels, 4 to a row; 64 to decode colours.
+#[test]
+fn rows_of_surfaces_are_as_many_as_they_have() {
+    let count = |scene: &Scene| qtracer::scene::rows::pack(&CompiledScene::new(scene)).len();
+    let scene = scene("surfaces");
+    let (triangles, materials) = (4096, scene.materials.len());
+    let plain = without_surfaces(&scene);
+    let texels = (48 * 36) / 4;
+    assert_eq!(count(&scene) - count(&plain), 3 * triangles + 2 * materials + 1 + texels + 64);
+}
+
+/// The scene without textures, its meshes flat.
+fn without_surfaces(scene: &Scene) -> Scene {
+    let mut scene = scene.clone();
+    scene.materials.iter_mut().for_each(|material| material.textures = MaterialTextures::default());
+    for shape in &mut scene.shapes {
+        if let Geometry::Mesh(mesh) = &shape.geometry {
+            let positions: Vec<_> = mesh.triangles().flatten().map(|p| p.as_dvec3()).collect();
+            let triangles = (0..mesh.len() as u32).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
+            let data = MeshData { positions, triangles, ..Default::default() };
+            let flat = Scene::builder("flat").camera([0.0, 0.0, 1.0], [0.0; 3], 40.0);
+            let flat = flat.material("m", SceneMaterial::diffuse([0.5; 3])).mesh(data, "m").build().unwrap();
+            shape.geometry = flat.shapes[0].geometry.clone();
+        }
+    }
+    scene
+}
+
 #[test]
 fn every_stage_links_and_validates_for_every_kind_of_scene() {
-    for name in ["cornell-box", "bansal-room-1", "furnace-open", "glass-caustic", "glossy-box"] {
+    for name in [
+        "cornell-box",
+        "bansal-room-1",
+        "furnace-open",
+        "glass-caustic",
+        "glossy-box",
+        "metal-spheres",
+        "rough-glass",
+    ] {
         let compiled = CompiledScene::new(&scene(name));
         for direct_light in [false, true] {
             let unguided = [Roulette::Off, Roulette::Throughput].map(|roulette| (GuideMode::Off, roulette));
@@ -228,6 +319,10 @@ fn rust_layouts() -> Vec<Layout> {
         layout::<Triangle>(),
         layout::<Material>(),
         layout::<Light>(),
+        layout::<TriangleNormals>(),
+        layout::<TriangleUvs>(),
+        layout::<MaterialMaps>(),
+        layout::<TextureImage>(),
         layout::<RayItem>(),
         layout::<HitItem>(),
         layout::<ShadowItem>(),
@@ -268,6 +363,7 @@ fn structs_shared_with_the_kernels_have_equal_offsets_and_sizes() {
     kernels.extend(linked(&scene("furnace-open"), &learning(LEARNING[6])));
     kernels.extend(linked(&scene("many-lights"), &splitting(4)));
     kernels.extend(linked(&scene("mesh"), &usual()));
+    kernels.extend(linked(&scene("surfaces"), &usual()));
     for (kernel, wgsl) in kernels {
         let module = validate(&wgsl);
         for (name, fields, size) in rust_layouts() {
@@ -315,6 +411,10 @@ fn constants_shared_with_the_kernels_are_equal() {
         ("KIND_MIRROR", f64::from(compiled::KIND_MIRROR)),
         ("KIND_GLOSSY", f64::from(compiled::KIND_GLOSSY)),
         ("KIND_DIELECTRIC", f64::from(compiled::KIND_DIELECTRIC)),
+        ("KIND_METAL", f64::from(compiled::KIND_METAL)),
+        ("KIND_METALLIC_ROUGHNESS", f64::from(compiled::KIND_METALLIC_ROUGHNESS)),
+        ("KIND_ROUGH_DIELECTRIC", f64::from(compiled::KIND_ROUGH_DIELECTRIC)),
+        ("LEAST_ALPHA", f64::from(compiled::LEAST_ALPHA)),
         ("NONE", f64::from(compiled::NONE)),
         ("ROULETTE_FROM_BOUNCE", f64::from(ROULETTE_FROM_BOUNCE)),
         ("RELATIVE_OFFSET", f64::from(RELATIVE_OFFSET)),
@@ -336,12 +436,19 @@ fn constants_shared_with_the_kernels_are_equal() {
         ("BUDGET_SHIFT", f64::from(BUDGET_SHIFT)),
         ("SEED_SHIFT", f64::from(SEED_SHIFT)),
         ("SPLIT", 5.0),
+        ("WRAP_CLAMP", f64::from(texels::WRAP_CLAMP)),
+        ("WRAP_MIRROR", f64::from(texels::WRAP_MIRROR)),
+        ("WRAP_U_SHIFT", f64::from(texels::WRAP_U_SHIFT)),
+        ("WRAP_V_SHIFT", f64::from(texels::WRAP_V_SHIFT)),
+        ("PACKED_ONE", f64::from(shading::PACKED_ONE)),
+        ("LEAST_COSINE", f64::from(shading::LEAST_COSINE)),
     ]
     .into();
     let mut seen = BTreeSet::new();
     let guided = LEARNING.into_iter().flat_map(|learnt| linked(&scene("bansal-room-1"), &learning(learnt)));
     let split = linked(&scene("bansal-room-1"), &splitting(5));
     let large = linked(&scene("many-lights"), &usual()).into_iter().chain(linked(&scene("mesh"), &usual()));
+    let large = large.chain(linked(&scene("surfaces"), &usual()));
     let usual = linked(&scene("bansal-room-1"), &usual());
     for (kernel, wgsl) in usual.into_iter().chain(guided).chain(split).chain(large) {
         for (name, value) in constants(&wgsl) {
@@ -374,18 +481,51 @@ fn a_scene_links_the_functions_of_its_own_materials_only() {
     for (own, material) in kinds() {
         for (kernel, wgsl) in linked(&ball(material), &usual()) {
             let functions = names(&wgsl);
-            for (other, _) in kinds().iter().filter(|(other, _)| *other != own) {
+            // Rough glass that hardly bends is smooth glass.
+            let part = |other: &str| own == "rough_dielectric_" && other == "dielectric_";
+            for (other, _) in kinds().iter().filter(|(other, _)| *other != own && !part(other)) {
                 let foreign: Vec<_> = functions.iter().filter(|f| f.starts_with(other)).collect();
                 assert!(foreign.is_empty(), "{kernel} of a scene with {own}* only has {foreign:?}");
             }
         }
     }
-    // Negative control: a scene with all four has all four.
-    let all: BTreeSet<String> =
-        linked(&scene("bansal-room-1"), &usual()).iter().flat_map(|(_, wgsl)| names(wgsl)).collect();
+    // Negative control: scenes with all of them have all of them.
+    let scenes = ["bansal-room-1", "metal-spheres", "rough-glass"];
+    let all: BTreeSet<String> = scenes
+        .iter()
+        .flat_map(|name| linked(&scene(name), &usual()))
+        .flat_map(|(_, wgsl)| names(&wgsl))
+        .collect();
     for (prefix, _) in kinds() {
         assert!(all.iter().any(|f| f.starts_with(prefix)), "no {prefix}* where there should be");
     }
+}
+
+/// The third row of a material is read, facets are drawn, and shadow rays leave on the far side only where a material asks
+/// for it.
+#[test]
+fn without_microfacets_nothing_of_them_is_linked() {
+    let of_facets = ["alpha_of", "ggx_density", "sample_visible_facet", "smith_root", "to_local", "weighed"];
+    let holds = |wgsl: &str| {
+        let names = names(wgsl);
+        let functions = of_facets.iter().filter(|name| names.contains(**name)).count();
+        (functions, wgsl.contains("rough = scene_rows"), wgsl.contains("origin = spawn_ray(surface, -"))
+    };
+    for name in ["cornell-box", "bansal-room-1", "glass-shelf", "furnace-open"] {
+        for (kernel, wgsl) in linked(&scene(name), &usual()) {
+            assert_eq!(holds(&wgsl), (0, false, false), "{kernel} of {name}");
+        }
+    }
+    // Of a scene with metal and diffuse walls, shading of the walls neither.
+    let kernels = linked(&scene("rough-glass"), &usual());
+    let of = |stage: &str| {
+        let (_, wgsl) = kernels.iter().find(|(kernel, _)| kernel.starts_with(stage)).unwrap();
+        holds(wgsl)
+    };
+    assert_eq!(of("shade_diffuse"), (0, false, false));
+    // Negative control: where they are, they are found.
+    assert_eq!(of("shade_metal "), (of_facets.len(), true, false));
+    assert_eq!(of("shade_rough_dielectric"), (of_facets.len(), true, true));
 }
 
 #[test]

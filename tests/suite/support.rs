@@ -100,7 +100,7 @@ pub fn icosphere(levels: u32) -> MeshData {
         };
         triangles = triangles.iter().flat_map(split).collect();
     }
-    MeshData { positions, normals: Vec::new(), triangles }
+    MeshData { positions, triangles, ..Default::default() }
 }
 
 /// Names of all scenes, sorted.

@@ -549,6 +549,8 @@ fn a_mesh_that_loses_nothing_is_invisible_before_its_background() {
         (Material::mirror([1.0; 3], 0.5), 1e-4),
         (Material::glossy([1.0; 3], 20.0), 1e-4),
         (Material::dielectric([1.0; 3], 1.0), 1e-4),
+        (Material::rough_dielectric([1.0; 3], 1.0, 0.5), 1e-4),
+        (Material::metal([1.0; 3], 0.05), 2e-3),
         (Material::dielectric([1.0; 3], 1.5), 1e-2),
     ];
     for (material, bound) in materials {

@@ -7,10 +7,10 @@ use std::path::{Path, PathBuf};
 use super::{MeshData, obj, ply};
 use crate::scene::SceneError;
 use crate::scene::error::quoted;
-use crate::scene::load::io_problem;
+use crate::scene::load::{io_problem, within_folder};
 
 /// Larger files are refused unread.
-const LARGEST_FILE: u64 = 2 << 30;
+pub(in crate::scene) const LARGEST_FILE: u64 = 2 << 30;
 
 impl MeshData {
     /// Reads a `.ply` (text or binary, either byte order) or `.obj` file. Faces of more than three corners become fans.
@@ -22,47 +22,50 @@ impl MeshData {
         let path = path.as_ref();
         read(path).map_err(|problem| SceneError::File { path: path.to_owned(), problem })
     }
-}
 
-/// Reads a mesh file that a scene names, which must lie within the scene's folder.
-pub(in crate::scene) fn of_scene(name: &str, folder: Option<&Path>) -> Result<MeshData, String> {
-    let file = format!("file {}", quoted(name));
-    let Some(folder) = folder else {
-        return Err(format!(
-            "{file} is looked for beside the scene, which has no folder; load the scene from a file"
-        ));
-    };
-    let path = within(folder, Path::new(name)).map_err(|problem| format!("{file} {problem}"))?;
-    read(&path).map_err(|problem| format!("{file} {problem}"))
-}
-
-/// The file of that name, relative to the folder; links and `..` are followed, and must stay within.
-fn within(folder: &Path, name: &Path) -> Result<PathBuf, String> {
-    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
-    let folder = folder.canonicalize().map_err(|error| io_problem(&error))?;
-    let path = folder.join(name).canonicalize().map_err(|error| io_problem(&error))?;
-    match path.starts_with(&folder) {
-        true => Ok(path),
-        false => {
-            Err("lies outside the scene's folder; copy it there and name it relative to the scene".to_owned())
-        }
+    /// The same, with what is wrong and the remedy alone.
+    pub(in crate::scene) fn load_plain(path: &Path) -> Result<Self, String> {
+        read(path)
     }
 }
 
-fn read(path: &Path) -> Result<MeshData, String> {
+/// All of a file. `Err` says what is wrong and the remedy.
+pub(in crate::scene) fn bytes(path: &Path) -> Result<Vec<u8>, String> {
+    let length = length_of(path)?;
+    let mut bytes = Vec::with_capacity(length as usize);
+    let file = File::open(path).map_err(|error| io_problem(&error))?;
+    file.take(length).read_to_end(&mut bytes).map_err(|error| io_problem(&error))?;
+    Ok(bytes)
+}
+
+/// The file that a scene names, which must lie within the scene's folder.
+pub(in crate::scene) fn of_scene(name: &str, folder: Option<&Path>) -> Result<PathBuf, String> {
+    let file = format!("file {}", quoted(name));
+    within_folder(folder, name).map_err(|problem| format!("{file} {problem}"))
+}
+
+/// How many bytes a file has that may be read.
+pub(in crate::scene) fn length_of(path: &Path) -> Result<u64, String> {
     let kind = std::fs::metadata(path).map_err(|error| io_problem(&error))?;
     if !kind.is_file() {
-        return Err("is not a regular file; name a .ply or .obj file".to_owned());
+        return Err("is not a regular file; name a .glb, .gltf, .ply or .obj file".to_owned());
     }
     if kind.len() > LARGEST_FILE {
         return Err(format!("is larger than {} GiB; reduce the mesh", LARGEST_FILE >> 30));
     }
+    Ok(kind.len())
+}
+
+fn read(path: &Path) -> Result<MeshData, String> {
+    let length = length_of(path)?;
     let open = || File::open(path).map_err(|error| io_problem(&error));
     match path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase().as_str() {
-        "ply" => parse(Format::Ply, open()?, kind.len()),
-        "obj" => parse(Format::Obj, open()?, kind.len()),
-        "" => Err("has no extension; mesh files end in .ply or .obj".to_owned()),
-        other => Err(format!("has the extension {}; mesh files end in .ply or .obj", quoted(other))),
+        "ply" => parse(Format::Ply, open()?, length),
+        "obj" => parse(Format::Obj, open()?, length),
+        "" => Err("has no extension; mesh files end in .glb, .gltf, .ply or .obj".to_owned()),
+        other => {
+            Err(format!("has the extension {}; mesh files end in .glb, .gltf, .ply or .obj", quoted(other)))
+        }
     }
 }
 

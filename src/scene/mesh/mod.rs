@@ -1,6 +1,6 @@
 //! Surfaces of triangles: as given ([`MeshData`]), from code or from a file, and as the renderer takes them ([`Mesh`]).
 
-mod file;
+pub(super) mod file;
 mod obj;
 mod placement;
 mod ply;
@@ -13,11 +13,12 @@ use glam::{DVec3, Vec3};
 
 use super::triangle::{SMALLEST_SQUARE, double_area};
 
-pub(super) use file::of_scene;
 pub use placement::Placement;
 
 /// Coordinates beyond which products of areas would overflow an f32.
 const LARGEST: f64 = 1e9;
+/// Texture coordinates beyond which f32 tells few texels apart.
+const FARTHEST_UV: f32 = 1e6;
 /// Triangles that a scene can number.
 const MOST_TRIANGLES: usize = 1 << 30;
 
@@ -26,8 +27,11 @@ const MOST_TRIANGLES: usize = 1 << 30;
 pub struct MeshData {
     /// Corners.
     pub positions: Vec<DVec3>,
-    /// A normal for each corner, or none at all. Kept, not used yet: surfaces are flat.
+    /// A normal for each corner, of any length, or none at all: then the triangles are flat. Light is reflected as by a
+    /// surface that has these normals; what emits, casts shadows and is met are the triangles.
     pub normals: Vec<DVec3>,
+    /// Where each corner lies in textures, or nothing: (0, 0) is the upper left corner of an image, (1, 1) the lower right.
+    pub uvs: Vec<[f32; 2]>,
     /// Three numbers of corners each, counterclockwise as seen from the outer side, the one that emits.
     pub triangles: Vec<[u32; 3]>,
 }
@@ -38,17 +42,25 @@ pub struct MeshData {
 pub struct Mesh {
     positions: Vec<Vec3>,
     normals: Vec<Vec3>,
+    uvs: Vec<[f32; 2]>,
     triangles: Vec<[u32; 3]>,
     repairs: Repairs,
 }
 
-/// What was left out of a mesh.
+/// What was left out of a mesh, or replaced.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Repairs {
     /// Triangles without an area that f32 can tell from zero.
     pub degenerate: usize,
     /// Triangles with the corners of one before them, in whatever order.
     pub duplicate: usize,
+    /// Corners of triangles whose normal is no direction, or points away from the triangle's outer side: there the
+    /// triangle's own normal stands in.
+    pub normals: usize,
+    /// Whether all normals were turned around first, since most pointed away from the outer side.
+    pub turned: bool,
+    /// Texture coordinates that are no numbers, or beyond ±1e6, and became 0.
+    pub uvs: usize,
 }
 
 impl Mesh {
@@ -59,8 +71,11 @@ impl Mesh {
         if data.triangles.len() > MOST_TRIANGLES {
             return Err(format!("has {} triangles; stay within {MOST_TRIANGLES}", data.triangles.len()));
         }
-        let mut mesh = Mesh { positions, normals, triangles: Vec::new(), repairs: Repairs::default() };
+        let mut repairs = Repairs::default();
+        let uvs = uvs(&data.uvs, positions.len(), &mut repairs)?;
+        let mut mesh = Mesh { positions, normals, uvs, triangles: Vec::new(), repairs };
         mesh.take_in(&data.triangles)?;
+        mesh.turn_normals();
         if mesh.triangles.is_empty() {
             return Err(match data.triangles.len() {
                 0 => "has no triangles; give it faces of three corners or more".to_owned(),
@@ -85,10 +100,30 @@ impl Mesh {
         self.triangles.iter().map(|triangle| self.corners(triangle))
     }
 
-    /// The normals given at the corners of each triangle, for smooth shading; nothing if there were none.
+    /// The normals at the corners of each triangle, for smooth shading, all on its outer side; nothing if there were none.
     pub fn normals(&self) -> impl Iterator<Item = [Vec3; 3]> + '_ {
-        let given = (!self.normals.is_empty()).then_some(&self.triangles);
-        given.into_iter().flatten().map(|triangle| triangle.map(|corner| self.normals[corner as usize]))
+        let given = self.is_smooth().then_some(&self.triangles);
+        given.into_iter().flatten().map(|triangle| {
+            let own = self.face_normal(triangle);
+            triangle
+                .map(|corner| Some(self.normals[corner as usize]).filter(|n| n.dot(own) > 0.0).unwrap_or(own))
+        })
+    }
+
+    /// The texture coordinates of the corners of each triangle; nothing if there were none.
+    pub fn uvs(&self) -> impl Iterator<Item = [[f32; 2]; 3]> + '_ {
+        let given = self.has_uvs().then_some(&self.triangles);
+        given.into_iter().flatten().map(|triangle| triangle.map(|corner| self.uvs[corner as usize]))
+    }
+
+    /// Whether it has normals.
+    pub fn is_smooth(&self) -> bool {
+        !self.normals.is_empty()
+    }
+
+    /// Whether it has texture coordinates.
+    pub fn has_uvs(&self) -> bool {
+        !self.uvs.is_empty()
     }
 
     /// The box around all triangles: its least and its greatest corner.
@@ -100,6 +135,30 @@ impl Mesh {
     /// What was left out.
     pub fn repairs(&self) -> Repairs {
         self.repairs
+    }
+
+    fn face_normal(&self, triangle: &[u32; 3]) -> Vec3 {
+        let [a, b, c] = self.corners(triangle);
+        double_area(a, b, c).normalize()
+    }
+
+    /// Turns all normals around if most point inwards, and counts those that are of no use.
+    fn turn_normals(&mut self) {
+        if !self.is_smooth() {
+            return;
+        }
+        let [mut outwards, mut inwards] = [0, 0];
+        for triangle in &self.triangles {
+            let own = self.face_normal(triangle);
+            let sides = triangle.map(|corner| self.normals[corner as usize].dot(own));
+            outwards += sides.iter().filter(|&&side| side > 0.0).count();
+            inwards += sides.iter().filter(|&&side| side < 0.0).count();
+        }
+        self.repairs.turned = inwards > outwards;
+        if self.repairs.turned {
+            self.normals.iter_mut().for_each(|normal| *normal = -*normal);
+        }
+        self.repairs.normals = 3 * self.triangles.len() - outwards.max(inwards);
     }
 
     fn corners(&self, triangle: &[u32; 3]) -> [Vec3; 3] {
@@ -149,6 +208,20 @@ fn normals(given: &[DVec3], corners: usize) -> Result<Vec<Vec3>, String> {
         return Err(format!("has {} normals for {corners} corners; give one for each, or none", given.len()));
     }
     Ok(given.iter().map(|normal| normal.normalize_or_zero().as_vec3()).collect())
+}
+
+/// One pair for each corner, or none; what is of no use becomes 0 and is counted.
+fn uvs(given: &[[f32; 2]], corners: usize, repairs: &mut Repairs) -> Result<Vec<[f32; 2]>, String> {
+    if !given.is_empty() && given.len() != corners {
+        return Err(format!(
+            "has {} texture coordinates for {corners} corners; give one for each, or none",
+            given.len()
+        ));
+    }
+    // NaN is not within either.
+    let fits = |uv: &[f32; 2]| uv.iter().all(|value| value.abs() <= FARTHEST_UV);
+    repairs.uvs = given.iter().filter(|uv| !fits(uv)).count();
+    Ok(given.iter().map(|uv| if fits(uv) { *uv } else { [0.0; 2] }).collect())
 }
 
 /// Whether f32 can tell which way the triangle faces.

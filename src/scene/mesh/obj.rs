@@ -15,8 +15,9 @@ pub(super) fn read(mut source: impl BufRead) -> Result<MeshData, String> {
     let text = String::from_utf8_lossy(&bytes);
     // A byte order mark would make the first line one that is skipped.
     let text = plain_lines(text.trim_start_matches('\u{feff}'));
+    // A corner for each normal and each texture coordinate that a position is used with.
     let options =
-        LoadOptions { triangulate: true, ignore_points: true, ignore_lines: true, ..Default::default() };
+        LoadOptions { single_index: true, triangulate: true, ignore_points: true, ignore_lines: true };
     let no_materials = |_: &std::path::Path| Err(LoadError::OpenFileFailed);
     let (models, _) = tobj::load_obj_buf(&mut text.as_bytes(), &options, no_materials).map_err(problem)?;
     let mut data = MeshData::default();
@@ -37,7 +38,8 @@ fn plain_lines(text: &str) -> String {
     plain
 }
 
-/// Adds one object. Normals are kept where each corner has one of its own, which few files of several objects keep up.
+/// Adds one object. Where some objects have normals and others do not, those others get none that is a direction; texture
+/// coordinates likewise, and the mesh warns of both. An object that has them at some corners only is taken to have none.
 fn add(data: &mut MeshData, mesh: &tobj::Mesh) -> Result<(), String> {
     let vectors = |values: &[f32]| -> Vec<DVec3> {
         values
@@ -49,12 +51,20 @@ fn add(data: &mut MeshData, mesh: &tobj::Mesh) -> Result<(), String> {
     };
     let first =
         u32::try_from(data.positions.len()).map_err(|_| "has too many corners; split it".to_owned())?;
-    let own_normals = mesh.normals.len() == mesh.positions.len() && mesh.normal_indices == mesh.indices;
-    let all_had_normals = data.normals.len() == data.positions.len();
     data.positions.extend(vectors(&mesh.positions));
-    match own_normals && all_had_normals {
-        true => data.normals.extend(vectors(&mesh.normals)),
-        false => data.normals.clear(),
+    let (before, corners) = (first as usize, data.positions.len());
+    if mesh.normals.len() == mesh.positions.len() {
+        data.normals.resize(before, DVec3::ZERO);
+        data.normals.extend(vectors(&mesh.normals));
+    } else if !data.normals.is_empty() {
+        data.normals.resize(corners, DVec3::ZERO);
+    }
+    if mesh.texcoords.len() / 2 == mesh.positions.len() / 3 {
+        data.uvs.resize(before, [f32::NAN; 2]);
+        // Upwards from the lower edge of the image.
+        data.uvs.extend(mesh.texcoords.as_chunks().0.iter().map(|&[u, v]: &[f32; 2]| [u, 1.0 - v]));
+    } else if !data.uvs.is_empty() {
+        data.uvs.resize(corners, [f32::NAN; 2]);
     }
     // A number beyond 2³² names no corner, which the mesh says.
     let moved = |&[a, b, c]: &[u32; 3]| [a, b, c].map(|corner| corner.saturating_add(first));

@@ -1,8 +1,8 @@
 //! Where a mesh stands: scaled about its own origin, turned, then moved.
 
-use glam::DVec3;
+use glam::{DAffine3, DMat3, DVec3};
 
-use super::MeshData;
+use super::{MeshData, has_area};
 use crate::scene::boxes::sin_cos_deg;
 
 /// How a mesh is brought into the scene, in this order.
@@ -23,7 +23,46 @@ impl Default for Placement {
     }
 }
 
+impl Placement {
+    /// The same as a matrix.
+    pub(in crate::scene) fn transform(&self) -> DAffine3 {
+        let (sin, cos) = sin_cos_deg(self.rotate_y_deg);
+        let turn = DMat3::from_cols(DVec3::new(cos, 0.0, -sin), DVec3::Y, DVec3::new(sin, 0.0, cos));
+        DAffine3 { matrix3: turn * self.scale, translation: self.translate }
+    }
+}
+
 impl MeshData {
+    /// The mesh under any affine map. One that mirrors turns triangles around, so that their outer sides stay outside; normals
+    /// stay at right angles to surfaces (they go by the cofactors) and outside too.
+    #[must_use]
+    pub(in crate::scene) fn transformed(&self, map: &DAffine3) -> MeshData {
+        if *map == DAffine3::IDENTITY {
+            return self.clone();
+        }
+        let [x, y, z] = [map.matrix3.x_axis, map.matrix3.y_axis, map.matrix3.z_axis];
+        let mirrors = x.cross(y).dot(z) < 0.0;
+        let side = if mirrors { -1.0 } else { 1.0 };
+        let cofactors = DMat3::from_cols(y.cross(z), z.cross(x), x.cross(y)) * side;
+        let turned = |&[a, b, c]: &[u32; 3]| if mirrors { [a, c, b] } else { [a, b, c] };
+        MeshData {
+            positions: self.positions.iter().map(|&p| map.transform_point3(p)).collect(),
+            normals: self.normals.iter().map(|&n| cofactors * n).collect(),
+            uvs: self.uvs.clone(),
+            triangles: self.triangles.iter().map(turned).collect(),
+        }
+    }
+
+    /// Whether any triangle has an area that f32 can tell from zero; false if corners are missing.
+    pub(in crate::scene) fn has_area(&self) -> bool {
+        let corner = |&number: &u32| self.positions.get(number as usize).map(|p| p.as_vec3());
+        let solid = |[a, b, c]: &[u32; 3]| {
+            let corners = [corner(a), corner(b), corner(c)];
+            matches!(corners, [Some(a), Some(b), Some(c)] if has_area([a, b, c]))
+        };
+        self.triangles.iter().any(solid)
+    }
+
     /// The mesh, placed so.
     #[must_use]
     pub fn placed(mut self, placement: &Placement) -> MeshData {

@@ -27,6 +27,11 @@ pub(super) fn read(source: impl BufRead, length: u64) -> Result<MeshData, String
                 if ["nx", "ny", "nz"].iter().all(|axis| element.properties.contains_key(*axis)) {
                     data.normals = vertices.iter().map(|vertex| vertex.normal).collect();
                 }
+                let has = |pair: &[&str; 2]| pair.iter().all(|name| element.properties.contains_key(*name));
+                if UV_NAMES.iter().any(has) {
+                    // Upwards from the lower edge of the image, as is usual in files of this format.
+                    data.uvs = vertices.iter().map(|vertex| [vertex.uv[0], 1.0 - vertex.uv[1]]).collect();
+                }
             }
             "face" => {
                 let faces: Vec<Face> = elements(&mut source, element, &header)?;
@@ -53,10 +58,14 @@ fn malformed(error: ParseError) -> String {
     format!("is not a whole PLY file ({brief}); write it anew")
 }
 
+/// What programs call texture coordinates.
+const UV_NAMES: [[&str; 2]; 3] = [["u", "v"], ["s", "t"], ["texture_u", "texture_v"]];
+
 #[derive(Default)]
 struct Vertex {
     position: DVec3,
     normal: DVec3,
+    uv: [f32; 2],
 }
 
 impl PropertyAccess for Vertex {
@@ -65,6 +74,11 @@ impl PropertyAccess for Vertex {
     }
 
     fn set_property(&mut self, name: &str, value: Property) -> PropertyAccessResult {
+        if let Some(axis) = UV_NAMES.iter().find_map(|names| names.iter().position(|known| *known == name)) {
+            let Some(value) = number(&value) else { return PropertyAccessResult::UnsupportedType };
+            self.uv[axis] = value as f32;
+            return PropertyAccessResult::Set;
+        }
         let place = match name {
             "x" => &mut self.position.x,
             "y" => &mut self.position.y,
@@ -74,19 +88,24 @@ impl PropertyAccess for Vertex {
             "nz" => &mut self.normal.z,
             _ => return PropertyAccessResult::Ignored,
         };
-        *place = match value {
-            Property::Char(v) => v.into(),
-            Property::UChar(v) => v.into(),
-            Property::Short(v) => v.into(),
-            Property::UShort(v) => v.into(),
-            Property::Int(v) => v.into(),
-            Property::UInt(v) => v.into(),
-            Property::Float(v) => v.into(),
-            Property::Double(v) => v,
-            _ => return PropertyAccessResult::UnsupportedType,
-        };
+        let Some(value) = number(&value) else { return PropertyAccessResult::UnsupportedType };
+        *place = value;
         PropertyAccessResult::Set
     }
+}
+
+fn number(value: &Property) -> Option<f64> {
+    Some(match *value {
+        Property::Char(v) => v.into(),
+        Property::UChar(v) => v.into(),
+        Property::Short(v) => v.into(),
+        Property::UShort(v) => v.into(),
+        Property::Int(v) => v.into(),
+        Property::UInt(v) => v.into(),
+        Property::Float(v) => v.into(),
+        Property::Double(v) => v,
+        _ => return None,
+    })
 }
 
 #[derive(Default)]

@@ -152,8 +152,8 @@ fn a_mesh_is_scaled_then_turned_then_moved() {
 fn triangle(corners: [[f64; 3]; 3]) -> MeshData {
     MeshData {
         positions: corners.map(DVec3::from_array).to_vec(),
-        normals: vec![],
         triangles: vec![[0, 1, 2]],
+        ..Default::default()
     }
 }
 

@@ -160,6 +160,30 @@ fn misspellings_are_corrected() {
 }
 
 #[test]
+fn rough_materials_are_in_range() {
+    let rough = |lines: &str| broken("type = \"dielectric\"\nior = 1.5", lines);
+    let metal = |key: &str| rough(&format!("type = \"metal\"\ncolor = [1, 1, 1]\n{key}"));
+    assert_says(
+        &metal("roughness = 1.5"),
+        &["line 16: material \"glass\": roughness 1.5 is not within 0 to 1"],
+    );
+    assert_says(&metal("roughness = -0.1"), &["roughness -0.1 is not within 0 to 1", "0 is smooth"]);
+    assert_says(&metal("roughness = nan"), &["roughness is not a number"]);
+    assert_says(&metal("metallic = 1"), &["unknown key \"metallic\""]);
+    assert_says(&metal("# nothing"), &["roughness is missing; give a number"]);
+    let coated = |keys: &str| rough(&format!("type = \"metallic-roughness\"\ncolor = [1, 1, 1]\n{keys}"));
+    assert_says(&coated("metallic = 2\nroughness = 0.5"), &["metallic 2 is not within 0 to 1", "1 is metal"]);
+    assert_says(&coated("metallic = 0\nroughness = 2"), &["roughness 2 is not within 0 to 1"]);
+    assert_says(&coated("roughness = 0.5"), &["metallic is missing"]);
+    let glass = |keys: &str| rough(&format!("type = \"rough-dielectric\"\n{keys}"));
+    assert_says(&glass("ior = 0.5\nroughness = 0.5"), &["ior 0.5 is below 1; swap interior and exterior"]);
+    assert_says(&glass("ior = 1.5\nroughness = inf"), &["roughness is infinite"]);
+    assert_says(&glass("ior = 1.5\nroughness = 0.5\ncolor = [1, 1, 1]"), &["unknown key \"color\""]);
+    assert_says(&rough("type = \"conductor\""), &["unknown type \"conductor\"; use \"metal\""]);
+    assert_says(&rough("type = \"principled\""), &["use \"metallic-roughness\""]);
+}
+
+#[test]
 fn wrong_kinds_of_values_are_named() {
     assert_says(
         &broken("name = \"room\"", "name = 3"),

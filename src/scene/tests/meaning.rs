@@ -25,6 +25,31 @@ fn defaults_fill_what_is_left_out() {
 }
 
 #[test]
+fn rough_materials_say_what_they_are() {
+    let rough = |lines: &str| {
+        let text = ROOM.replace("type = \"dielectric\"\nior = 1.5", lines);
+        Scene::from_toml(&text).map(|scene| (scene.materials[0].kind, scene.warnings()))
+    };
+    let (color, tint) = (DVec3::new(0.9, 0.8, 0.7), DVec3::ONE);
+    let metal = rough("type = \"metal\"\ncolor = [0.9, 0.8, 0.7]\nroughness = 0.25");
+    assert_eq!(metal, Ok((MaterialKind::Metal { color, roughness: 0.25 }, vec![])));
+    let gltf = "type = \"metallic-roughness\"\ncolor = [0.9, 0.8, 0.7]\nmetallic = 0.5\nroughness = 1";
+    assert_eq!(
+        rough(gltf),
+        Ok((MaterialKind::MetallicRoughness { color, metallic: 0.5, roughness: 1.0 }, vec![]))
+    );
+    let glass = rough("type = \"rough-dielectric\"\nior = 1.3\nroughness = 0.5");
+    assert_eq!(glass, Ok((MaterialKind::RoughDielectric { tint, ior: 1.3, roughness: 0.5 }, vec![])));
+    let (_, warnings) = rough("type = \"metal\"\ncolor = [1, 1, 1]\nroughness = 0.01").unwrap();
+    let [warning] = &warnings[..] else { panic!("{warnings:?}") };
+    assert_eq!(
+        warning.to_string(),
+        "material \"glass\": a roughness of 0.01 is taken for 0.032, below which highlights are too narrow for 32 bits; \
+         for perfect smoothness use a mirror or a dielectric"
+    );
+}
+
+#[test]
 fn shapes_refer_to_their_materials_by_index() {
     let scene = room();
     let names: Vec<_> =

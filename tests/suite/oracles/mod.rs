@@ -2,4 +2,5 @@
 
 pub mod bsdf;
 pub mod geometry;
+pub mod ggx;
 pub mod sampling;

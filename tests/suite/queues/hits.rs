@@ -22,9 +22,16 @@ fn refined(ray: &RayItem, sphere: &Sphere, t: f32) -> f32 {
 /// but for rays within rounding of an edge.
 #[test]
 fn intersection_pushes_every_ray_to_exactly_one_queue() {
-    for name in
-        ["bansal-room-1", "cornell-box", "glossy-box", "furnace-open-half", "door-ajar", "many-lights"]
-    {
+    for name in [
+        "bansal-room-1",
+        "cornell-box",
+        "glossy-box",
+        "furnace-open-half",
+        "door-ajar",
+        "many-lights",
+        "metal-spheres",
+        "rough-glass",
+    ] {
         let compiled = CompiledScene::new(&scene(name));
         let harness = Harness::new(Stage::Intersect, &compiled, Schedule::Streamed);
         let camera = scene(name).camera;

@@ -30,7 +30,7 @@ pub const SCATTER: (&str, &str) = (
     let normal = bitcast<vec3<f32>>(a.xyz);
     let wo = bitcast<vec3<f32>>(b.xyz);
     let s = bsdf_sample(material, normal, wo, c.z != 0u, u.xyz);
-    let value = bsdf_evaluate(material, normal, wo, s.wi);
+    let value = bsdf_evaluate(material, normal, wo, c.z != 0u, s.wi);
     out0 = vec4<u32>(bitcast<vec3<u32>>(s.wi), bitcast<u32>(s.pdf));
     out1 = vec4<u32>(bitcast<vec3<u32>>(s.weight), 0u);
     out2 = vec4<u32>(bitcast<vec3<u32>>(value.value), bitcast<u32>(value.pdf));",
@@ -40,7 +40,7 @@ fn scatter(_: &World, [a, b, c]: &[Row; 3]) -> [Row; 3] {
     let material = material(c[0], f32::from_bits(c[1]));
     let (normal, wo) = (floats(*a).0, floats(*b).0);
     let s = bsdf_sample(&material, normal, wo, c[2] != 0, draw(a[3]).xyz());
-    let value = bsdf_evaluate(&material, normal, wo, s.wi);
+    let value = bsdf_evaluate(&material, normal, wo, c[2] != 0, s.wi);
     [row(s.wi, s.pdf.to_bits()), row(s.weight, 0), row(value.value, value.pdf.to_bits())]
 }
 
@@ -113,7 +113,7 @@ fn bsdf_directions_follow_their_density() {
     for (m, (name, material)) in materials().into_iter().enumerate() {
         for (g, (normal, wo)) in geometries().into_iter().enumerate() {
             let cells = Cells { rows: 12, columns: 8, ..Cells::hemisphere(normal) };
-            let integrals = cells.integrate(|d| f64::from(bsdf_evaluate(&material, normal, wo, d).pdf));
+            let integrals = cells.integrate(|d| f64::from(bsdf_evaluate(&material, normal, wo, true, d).pdf));
             let smooth = if material.kind == KIND_MIRROR { 1.0 - f64::from(material.parameter) } else { 1.0 };
             let integral: f64 = integrals.iter().sum();
             assert!((integral / smooth - 1.0).abs() < 2e-3, "{name}: the density integrates to {integral}");

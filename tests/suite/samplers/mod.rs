@@ -14,6 +14,8 @@ mod light_choice;
 mod light_directions;
 mod lights;
 mod materials;
+mod microfacet_albedos;
+mod microfacets;
 mod random;
 mod twins;
 mod weights;

@@ -21,12 +21,12 @@ use qtracer::scene::{Camera, Material as SceneMaterial, Scene, SceneBuilder};
 use qtracer::transport::roulette::Roulette;
 use wgpu::BufferUsages;
 
-fn key(scene: &CompiledScene) -> KernelKey {
+pub fn key(scene: &CompiledScene) -> KernelKey {
     KernelKey::new(scene, &estimators(GuideMode::Off, Roulette::Off))
 }
 
 /// Asks a probe that reads shapes of this scene.
-fn ask<const Q: usize, const A: usize>(
+pub fn ask<const Q: usize, const A: usize>(
     gpu: &Gpu,
     probe: &Probe<Q, A>,
     scene: &CompiledScene,

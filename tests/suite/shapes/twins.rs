@@ -116,7 +116,7 @@ impl Twin {
         let probe = Probe::<2, 3>::new(gpu, &key(scene), IMPORTS, &body);
         let met = |[point, normal, raw]: [Row; 3]| {
             let ((position, t), (normal, offset)) = (floats(point), floats(normal));
-            Met { t, raw: f32::from_bits(raw[0]), surface: Surface { position, normal, offset } }
+            Met { t, raw: f32::from_bits(raw[0]), surface: Surface::plain(position, normal, offset) }
         };
         ask(gpu, &probe, scene, &hot(scene), rays).into_iter().map(met).collect()
     }
@@ -173,7 +173,7 @@ fn cpu_meet(scene: &CompiledScene, &[a, b]: &Aimed) -> Met {
 
 fn cpu_leave(scene: &CompiledScene, &[a, b, c]: &Leaving) -> Gone {
     let (normal, offset) = floats(b);
-    let ray = spawn_ray(&Surface { position: floats(a).0, normal, offset }, floats(c).0);
+    let ray = spawn_ray(&Surface::plain(floats(a).0, normal, offset), floats(c).0);
     let reverse = Ray { direction: -ray.direction, ..ray };
     let [ahead, behind] = [ray, reverse].map(|ray| cpu_distance(scene, &ray, a[3]));
     Gone { origin: ray.origin, ahead, behind }
@@ -186,7 +186,7 @@ impl Met {
 
     /// Leaves the surface of `shape` towards `direction`, from `scale` times its offset.
     pub fn leaving(&self, shape: u32, direction: glam::Vec3, scale: f32) -> Leaving {
-        let Surface { position, normal, offset } = self.surface;
+        let Surface { position, normal, offset, .. } = self.surface;
         [row(position, shape), row(normal, (offset * scale).to_bits()), row(direction, 0)]
     }
 }

@@ -137,6 +137,12 @@ fn stages_answer_as_their_twins_do_among_every_material() {
 }
 
 #[test]
+fn stages_answer_as_their_twins_do_among_rough_materials() {
+    stages_answer_as_their_twins_do("metal-spheres");
+    stages_answer_as_their_twins_do("rough-glass");
+}
+
+#[test]
 fn stages_answer_as_their_twins_do_behind_a_door() {
     stages_answer_as_their_twins_do("door-ajar");
 }
@@ -172,7 +178,7 @@ fn stages_answer_as_their_twins_do_when_guided() {
 /// reads it.
 #[test]
 fn a_twin_that_is_told_something_else_is_reported() {
-    let lies: [(&str, Lie); 10] = [
+    let lies: [(&str, Lie); 14] = [
         ("generate", |_, uniforms| uniforms.seed += 1),
         ("generate", |_, uniforms| uniforms.camera_right *= 1.00001),
         ("intersect", |scene, _| scene.spheres[3].radius *= 1.0001),
@@ -181,15 +187,28 @@ fn a_twin_that_is_told_something_else_is_reported() {
         ("shade_mirror", |scene, _| scene.materials.iter_mut().for_each(|m| m.parameter *= 0.99)),
         ("shade_glossy", |scene, _| scene.materials.iter_mut().for_each(|m| m.parameter *= 1.001)),
         ("shade_dielectric", |scene, _| scene.materials.iter_mut().for_each(|m| m.parameter *= 1.0001)),
+        ("shade_metal", |scene, _| scene.materials.iter_mut().for_each(|m| m.roughness *= 1.001)),
+        ("shade_metallic_roughness", |scene, _| scene.materials.iter_mut().for_each(|m| m.metallic += 0.01)),
+        ("shade_rough_dielectric", |scene, _| scene.materials.iter_mut().for_each(|m| m.roughness *= 1.001)),
+        ("shade_rough_dielectric", |scene, _| scene.materials.iter_mut().for_each(|m| m.parameter *= 1.0001)),
         ("shade_diffuse", |_, uniforms| uniforms.roulette_scale *= 0.9),
         ("shadow", |scene, _| scene.spheres.iter_mut().for_each(|sphere| sphere.radius *= 1.01)),
     ];
-    let mut faults = [0; 10];
-    compare("glass-shelf", &options(Schedule::Streamed), &lies.map(|(_, lie)| lie), |i, _, stage, report| {
-        faults[i] += if stage.name() == lies[i].0 { report.faults.len() } else { 0 };
-    });
-    println!("{faults:?}");
-    for ((stage_name, _), faults) in lies.iter().zip(faults) {
-        assert!(faults > 0, "a lie about {stage_name} was not found: {faults:?}");
+    let scene_of = |stage: &str| match stage {
+        "shade_metal" | "shade_metallic_roughness" => "metal-spheres",
+        "shade_rough_dielectric" => "rough-glass",
+        _ => "glass-shelf",
+    };
+    for name in ["glass-shelf", "metal-spheres", "rough-glass"] {
+        let (stages, told): (Vec<&str>, Vec<Lie>) =
+            lies.iter().filter(|(stage, _)| scene_of(stage) == name).copied().unzip();
+        let mut faults = vec![0; told.len()];
+        compare(name, &options(Schedule::Streamed), &told, |i, _, stage, report| {
+            faults[i] += if stage.name() == stages[i] { report.faults.len() } else { 0 };
+        });
+        println!("{name}: {faults:?}");
+        for (stage, faults) in stages.iter().zip(faults) {
+            assert!(faults > 0, "a lie about {stage} was not found");
+        }
     }
 }

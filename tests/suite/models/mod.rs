@@ -1,0 +1,10 @@
+//! Models: what glTF files mean, alone and in scenes, and that no file makes the reader panic. Files are made here, from JSON and
+//! bytes.
+
+mod accessors;
+mod builder;
+mod hostile;
+mod materials;
+mod textures;
+mod transforms;
+mod views;
