@@ -7,6 +7,7 @@ use crate::film::BlockSum;
 use crate::guiding::{GuideUniforms, Trail, Transition};
 use crate::layout::GpuStruct;
 use crate::scene::compiled::{Light, Material, Quad, Sphere, Triangle, Uniforms};
+use crate::scene::environment::{SkyCell, SkyRow};
 use crate::transport::items::{HitItem, RayItem, ShadowItem};
 use std::borrow::Cow;
 use wesl::{CompileOptions, Feature, Features, ManglerKind, ModulePath, VirtualResolver, Wesl};
@@ -26,6 +27,7 @@ pub const MODULES: &[(&str, &str)] = modules![
     "scene/camera",
     "scene/data",
     "scene/shapes",
+    "scene/sky",
     "scene/triangle",
     "bsdf/dielectric",
     "bsdf/diffuse",
@@ -81,6 +83,10 @@ fn item_declarations() -> String {
         Material::wgsl_rows(),
         Light::wgsl(),
         Light::wgsl_rows(),
+        SkyRow::wgsl(),
+        SkyRow::wgsl_rows(),
+        SkyCell::wgsl(),
+        SkyCell::wgsl_rows(),
         RayItem::wgsl(),
         RayItem::wgsl_rows(),
         HitItem::wgsl(),

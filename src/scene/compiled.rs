@@ -1,6 +1,7 @@
 //! The scene as the transport sees it: f32, flat arrays, lights with their table. GPU twin: kernels/scene/data.wesl
 
 use super::bvh::Bvh;
+use super::environment::{Sky, environment_share};
 use super::shapes::RELATIVE_OFFSET;
 use super::triangle::double_area;
 use super::{Camera, Geometry, MaterialKind, Mesh, Scene, rows};
@@ -61,8 +62,14 @@ gpu_struct! {
         first_node_row: u32,
         /// Survival in roulette is this times what it would be.
         roulette_scale: f32,
-        _pad0: u32,
-        _pad1: u32,
+        /// The environment map: where it begins, its size, and by how much of a turn its longitude is ahead of the world's.
+        first_sky_row: u32,
+        first_sky_cell_row: u32,
+        sky_width: u32,
+        sky_height: u32,
+        sky_turn: f32,
+        /// Chance that direct light asks the environment map, not a lamp.
+        environment_share: f32,
     }
     /// What every ray reads comes first; rows.rs says where that ends.
     pub struct Sphere {
@@ -137,7 +144,9 @@ pub struct CompiledScene {
     pub triangles: Vec<Triangle>,
     pub materials: Vec<Material>,
     pub lights: Vec<Light>,
+    /// Radiance from beyond the scene where there is no map of it.
     pub environment: Vec3,
+    pub sky: Option<Sky>,
     /// Where the shapes are too many to ask them all.
     pub bvh: Option<Bvh>,
 }
@@ -159,7 +168,8 @@ impl CompiledScene {
     pub fn new(scene: &Scene) -> CompiledScene {
         let mut compiled = CompiledScene {
             materials: scene.materials.iter().map(compile_material).collect(),
-            environment: scene.environment.as_vec3(),
+            environment: scene.environment_map.as_ref().map_or(scene.environment.as_vec3(), |_| Vec3::ZERO),
+            sky: scene.environment_map.as_ref().and_then(|map| Sky::new(map, scene.environment)),
             ..Default::default()
         };
         // Emitters first: where a lamp lies flush in another surface, rays that meet both at once see the lamp.
@@ -187,6 +197,8 @@ impl CompiledScene {
         }
         compiled.sort_quads();
         compiled.find_lights();
+        let share = environment_share(&compiled);
+        compiled.sky.iter_mut().for_each(|sky| sky.share = share);
         compiled.bvh = (!compiled.is_small()).then(|| Bvh::new(&compiled));
         compiled
     }
@@ -239,6 +251,11 @@ impl CompiledScene {
         }
     }
 
+    /// Whether there is anything for direct light to aim at.
+    pub fn has_light_to_sample(&self) -> bool {
+        !self.lights.is_empty() || self.sky.is_some()
+    }
+
     /// Every emitting shape, chosen with probability proportional to its power.
     fn find_lights(&mut self) {
         let CompiledScene { spheres, quads, triangles, materials, lights, .. } = self;
@@ -276,20 +293,21 @@ impl CompiledScene {
     pub fn fingerprint(&self, uniforms: &Uniforms) -> u64 {
         // Neither changes what the picture converges to.
         let picture = Uniforms { seed: 0, roulette_scale: 1.0, ..*uniforms };
-        let [spheres, quads, triangles, materials] = self.arrays();
-        fnv1a([spheres, quads, triangles, materials, bytemuck::bytes_of(&picture)])
+        fnv1a(self.arrays().into_iter().chain([bytemuck::bytes_of(&picture)]))
     }
 
     /// A number that differs between scenes that light spreads in differently, wherever the camera is (FNV-1a).
     pub fn light_fingerprint(&self) -> u64 {
-        let [spheres, quads, triangles, materials] = self.arrays();
-        fnv1a([spheres, quads, triangles, materials, bytemuck::bytes_of(&self.environment)])
+        let turn = self.sky.as_ref().map_or(0.0, |sky| sky.turn);
+        let far = [bytemuck::bytes_of(&self.environment), bytemuck::bytes_of(&turn)];
+        fnv1a(self.arrays().into_iter().chain(far))
     }
 
-    fn arrays(&self) -> [&[u8]; 4] {
+    fn arrays(&self) -> [&[u8]; 5] {
         let CompiledScene { spheres, quads, triangles, materials, .. } = self;
+        let sky = self.sky.as_ref().map_or(&[][..], |sky| &sky.cells);
         use bytemuck::cast_slice as bytes;
-        [bytes(spheres), bytes(quads), bytes(triangles), bytes(materials)]
+        [bytes(spheres), bytes(quads), bytes(triangles), bytes(materials), bytes(sky)]
     }
 
     /// Which material kinds the shapes use.
@@ -316,7 +334,11 @@ impl CompiledScene {
             first_material_row,
             first_light_row,
             first_node_row,
+            first_sky_row,
+            first_sky_cell_row,
         ] = rows::first_rows(self);
+        let (sky_width, sky_height, sky_turn, environment_share) =
+            self.sky.as_ref().map_or((0, 0, 0.0, 0.0), |sky| (sky.width, sky.height, sky.turn, sky.share));
         Uniforms {
             camera_origin: camera.origin.as_vec3(),
             seed,
@@ -337,6 +359,12 @@ impl CompiledScene {
             first_material_row,
             first_light_row,
             first_node_row,
+            first_sky_row,
+            first_sky_cell_row,
+            sky_width,
+            sky_height,
+            sky_turn,
+            environment_share,
             ..Default::default()
         }
     }

@@ -8,11 +8,14 @@ use glam::DVec3;
 
 use super::boxes::box_quads;
 use super::document::{Node, Value};
+use super::environment;
 use super::error::{Fault, SceneError, quoted, suggestion};
 use super::fields::Fields;
 use super::mesh;
 use super::validate::{self, material_label, shape_label};
-use super::{Camera, Defaults, Geometry, Material, MaterialKind, Mesh, Placement, Scene, Shape};
+use super::{
+    Camera, Defaults, EnvironmentMap, Geometry, Material, MaterialKind, Mesh, Placement, Scene, Shape,
+};
 
 const TOP_KEYS: [&str; 7] = ["name", "description", "camera", "environment", "render", "materials", "shapes"];
 const MATERIAL_TYPES: [&str; 4] = ["diffuse", "mirror", "glossy", "dielectric"];
@@ -28,11 +31,14 @@ pub(super) fn scene(root: &Node, folder: Option<&Path>) -> Result<Scene, SceneEr
     let materials = materials(top.node("materials"))?;
     let names =
         materials.iter().enumerate().map(|(index, material)| (material.name.clone(), index)).collect();
+    let (radiance, environment_map) =
+        section(&top, "environment", |fields| environment(fields, folder))?.unwrap_or_default();
     let scene = Scene {
         name,
         description,
         camera: section(&top, "camera", camera)?.ok_or_else(no_camera)?,
-        environment: section(&top, "environment", environment)?.unwrap_or(DVec3::ZERO),
+        environment: radiance,
+        environment_map,
         shapes: shapes(top.node("shapes"), &names, folder)?,
         defaults: section(&top, "render", render)?.unwrap_or_default(),
         materials,
@@ -79,11 +85,26 @@ fn camera(fields: &Fields<'_>) -> Result<Camera, Fault> {
     Ok(camera)
 }
 
-fn environment(fields: &Fields<'_>) -> Result<DVec3, Fault> {
-    fields.only(&["radiance"])?;
-    let radiance = fields.need("radiance")?;
-    validate::light("radiance", radiance).map_err(|problem| fields.broken(problem))?;
-    Ok(radiance)
+/// A radiance, or a map and what it is multiplied by.
+fn environment(fields: &Fields<'_>, folder: Option<&Path>) -> Result<(DVec3, Option<EnvironmentMap>), Fault> {
+    let Some(file) = fields.get::<String>("map")? else {
+        for key in ["scale", "rotate_y_deg"].into_iter().filter(|key| fields.node(key).is_some()) {
+            return Err(fields.broken(format!("{key} needs a map; add map = \"sky.hdr\" or remove it")));
+        }
+        fields.only(&["radiance", "map", "scale", "rotate_y_deg"])?;
+        let radiance = fields.need("radiance")?;
+        validate::light("radiance", radiance).map_err(|problem| fields.broken(problem))?;
+        return Ok((radiance, None));
+    };
+    fields.only(&["radiance", "map", "scale", "rotate_y_deg"])?;
+    let tint = fields.get("radiance")?.unwrap_or(DVec3::ONE);
+    let scale = fields.get("scale")?.unwrap_or(1.0);
+    validate::light("radiance", tint).map_err(|problem| fields.broken(problem))?;
+    validate::light("scale", DVec3::splat(scale)).map_err(|problem| fields.broken(problem))?;
+    let map = environment::of_scene(&file, folder).map_err(|problem| fields.broken(problem))?;
+    let map = map.rotated(fields.get("rotate_y_deg")?.unwrap_or(0.0));
+    validate::environment_map(&map, tint * scale).map_err(|problem| fields.broken(problem))?;
+    Ok((tint * scale, Some(map)))
 }
 
 fn render(fields: &Fields<'_>) -> Result<Defaults, Fault> {

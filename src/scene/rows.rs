@@ -3,6 +3,7 @@
 //! GPU twin: kernels/scene/data.wesl
 
 use super::compiled::{CompiledScene, Light, Material, Quad, Sphere, Triangle};
+use super::environment::{SkyCell, SkyRow};
 use crate::layout::GpuStruct;
 use std::mem::offset_of;
 use std::ops::Range;
@@ -36,8 +37,9 @@ impl<'a> Part<'a> {
 }
 
 /// The parts in the order in which they lie in the buffer.
-fn parts(scene: &CompiledScene) -> [Part<'_>; 8] {
+fn parts(scene: &CompiledScene) -> [Part<'_>; 10] {
     let nodes = scene.bvh.as_ref().map_or(&[][..], |bvh| &bvh.rows);
+    let (sky_rows, sky_cells) = scene.sky.as_ref().map_or((&[][..], &[][..]), |sky| (&sky.rows, &sky.cells));
     [
         Part::new(&scene.spheres, 0..SPHERE_HOT_ROWS),
         Part::new(&scene.quads, 0..QUAD_HOT_ROWS),
@@ -47,6 +49,8 @@ fn parts(scene: &CompiledScene) -> [Part<'_>; 8] {
         Part::new(&scene.materials, 0..Material::ROWS),
         Part::new(&scene.lights, 0..Light::ROWS),
         Part { rows: nodes, rows_per_item: 1, wanted: 0..1 },
+        Part::new(sky_rows, 0..SkyRow::ROWS),
+        Part::new(sky_cells, 0..SkyCell::ROWS),
     ]
 }
 
@@ -88,7 +92,7 @@ fn aligned_rows(quad: &Quad, axis: usize) -> [Row; ALIGNED_ROWS] {
 }
 
 /// The number of the first row of each part.
-pub fn first_rows(scene: &CompiledScene) -> [u32; 8] {
+pub fn first_rows(scene: &CompiledScene) -> [u32; 10] {
     let mut next = 0;
     parts(scene).map(|part| {
         let first = next;

@@ -28,6 +28,11 @@ pub enum SceneWarning {
         /// The shape in whose surface it lies.
         other: String,
     },
+    /// The environment map had negative radiance, which was taken for black.
+    NegativeRadiance {
+        /// How many.
+        texels: usize,
+    },
     /// Triangles that were left out of a mesh.
     MeshRepaired {
         /// The mesh, as errors call it.
@@ -66,6 +71,11 @@ impl fmt::Display for SceneWarning {
                 "{lamp} lies in the surface of {other}, so rounding decides which of the two a ray meets; move the lamp \
                  off it a little, to the side that it lights"
             ),
+            Self::NegativeRadiance { texels } => write!(
+                f,
+                "environment: {texels} texels of the map are negative somewhere, which counts as 0; write it without to be \
+                 rid of this"
+            ),
             Self::MeshRepaired { mesh, repairs: Repairs { degenerate, duplicate } } => write!(
                 f,
                 "{mesh}: left out {degenerate} triangles without area and {duplicate} that repeat another; clean the mesh \
@@ -90,6 +100,8 @@ impl Scene {
         if !self.has_light() {
             warnings.push(SceneWarning::NoLight);
         }
+        let negative = self.environment_map.iter().map(|map| map.negative()).filter(|&texels| texels > 0);
+        warnings.extend(negative.map(|texels| SceneWarning::NegativeRadiance { texels }));
         warnings.extend(self.materials.iter().filter_map(albedo_warning));
         warnings.extend(self.flush_lamps());
         warnings.extend(self.repaired_meshes());
@@ -137,7 +149,8 @@ impl Scene {
 
     fn has_light(&self) -> bool {
         let emits = |index: usize| self.materials.get(index).is_some_and(Material::is_emissive);
-        self.environment.max_element() > 0.0 || self.shapes.iter().any(|shape| emits(shape.material))
+        let sky = self.environment_map.as_ref().is_none_or(|map| map.brightest() > 0.0);
+        sky && self.environment.max_element() > 0.0 || self.shapes.iter().any(|shape| emits(shape.material))
     }
 }
 

@@ -37,7 +37,7 @@ pub(in crate::scene) fn of_scene(name: &str, folder: Option<&Path>) -> Result<Me
 }
 
 /// The file of that name, relative to the folder; links and `..` are followed, and must stay within.
-fn within(folder: &Path, name: &Path) -> Result<PathBuf, String> {
+pub(in crate::scene) fn within(folder: &Path, name: &Path) -> Result<PathBuf, String> {
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     let folder = folder.canonicalize().map_err(|error| io_problem(&error))?;
     let path = folder.join(name).canonicalize().map_err(|error| io_problem(&error))?;

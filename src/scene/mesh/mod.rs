@@ -13,7 +13,7 @@ use glam::{DVec3, Vec3};
 
 use super::triangle::{SMALLEST_SQUARE, double_area};
 
-pub(super) use file::of_scene;
+pub(super) use file::{of_scene, within};
 pub use placement::Placement;
 
 /// Coordinates beyond which products of areas would overflow an f32.
