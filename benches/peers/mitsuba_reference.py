@@ -77,7 +77,8 @@ def register():
             active &= light.pdf > 0
             value, pdf = bsdf.eval_pdf(context, si, si.to_local(light.d), active)
             first = scene.ray_intersect(self.leave(si, light.d), active)
-            seen = active & (first.emitter(scene, active) == light.emitter) & first.is_valid()
+            # A ray that meets nothing meets the sky.
+            seen = active & (first.emitter(scene, active) == light.emitter)
             mis = power(light.pdf, dr.select(light.delta, 0, pdf))
             return dr.select(seen, value * weight * mis, 0)
 
@@ -116,9 +117,7 @@ def render(given, size):
     """Means of the runs, as an array of runs × height × width × 3."""
     import mitsuba_scene
 
-    scene = mitsuba_scene.load(mitsuba_scene.read(given.scene), size, given.max_bounces, 1 << 20)
-    if scene.environment() is not None and given.direct_light == "on":
-        raise ValueError("its shadow rays must meet their light, which a sky is not; use --direct-light off")
+    scene = mitsuba_scene.load(mitsuba_scene.read(given.scene), size, given.max_bounces, 1 << 20, given.scene.parent)
     register()
     integrator = mi.load_dict({
         "type": "qtracer_tight_path",
