@@ -68,7 +68,7 @@ fn compare(
     let sums = LessonSums::new(table.as_ref().map_or(Default::default(), |t| LessonLayout::new(&t.uniforms)));
     let transport = Transport {
         sampler: estimators.sampler,
-        direct_light: estimators.direct_light && !compiled.lights.is_empty(),
+        direct_light: estimators.direct_light && compiled.has_light_to_sample(),
         roulette: estimators.roulette,
         guidance: table.as_ref().map(|table| Guidance { mode: estimators.table_mode(), table, sums: &sums }),
         ..Transport::plain(&compiled, &search, &uniforms)
@@ -130,6 +130,7 @@ fn stages_answer_as_their_twins_do_behind_a_door() {
 #[test]
 fn stages_answer_as_their_twins_do_under_an_open_sky() {
     stages_answer_as_their_twins_do("furnace-open-half");
+    stages_answer_as_their_twins_do("open-sky");
 }
 
 /// With a guide that has learnt: the mixture, what is remembered, what is taught.
