@@ -69,9 +69,24 @@ fn describe(path: &Path, scene: &Scene) -> String {
         format!("  shapes     {}: {}", scene.shapes.len(), shapes(scene, &compiled)),
         format!("  materials  {}: {}", scene.materials.len(), kinds(scene)),
         format!("  lights     {}{environment}", compiled.lights.len()),
+        environment_map(&compiled),
         format!("  kernels    {key}"),
     ]
+    .into_iter()
+    .filter(|line| !line.is_empty())
+    .collect::<Vec<_>>()
     .join("\n")
+}
+
+/// What was made of the environment map, empty without one.
+fn environment_map(compiled: &CompiledScene) -> String {
+    let Some(sky) = &compiled.sky else { return String::new() };
+    let why = match compiled.lights.len() {
+        0 => "all shadow rays: there is no lamp",
+        _ => "shadow rays, by its power against that of the lamps",
+    };
+    let (share, kilobytes) = (100.0 * sky.share, sky.bytes().div_ceil(1 << 10));
+    format!("  map        {}x{}, {kilobytes} KiB, gets {share:.0} % of {why}", sky.width, sky.height)
 }
 
 /// `1 spheres, 12 quads`, and `2 meshes of 96 triangles` where there are any.

@@ -5,6 +5,7 @@
 
 use super::compiled::CompiledScene;
 use super::environment::{Sky, THRESHOLD_BITS, unpack_radiance};
+use crate::math::angle_of;
 use crate::sampling::{alias_row, sample_linear};
 use glam::{Vec3, Vec4};
 use std::f32::consts::PI;
@@ -64,10 +65,10 @@ fn at_place(patch: &SkyPatch, wi: Vec3, [x, y]: [f32; 2], sine: f32) -> SkySampl
 pub fn sky_at(sky: &Sky, wi: Vec3) -> SkySample {
     let (width, height) = (sky.width as f32, sky.height as f32);
     let sine = (wi.x * wi.x + wi.z * wi.z).sqrt();
-    let longitude = wi.x.atan2(-wi.z) * (0.5 / PI) + sky.turn;
+    let longitude = angle_of(wi.x, -wi.z) * (0.5 / PI) + sky.turn;
     let x = (longitude - longitude.floor()) * width - 0.5;
     let x = if x < 0.0 { x + width } else { x };
-    let y = sine.atan2(wi.y) * (height / PI) + 0.5;
+    let y = angle_of(sine, wi.y) * (height / PI) + 0.5;
     let (column, row) = ((x as u32).min(sky.width - 1), (y as u32).min(sky.height));
     at_place(&sky_patch(sky, column, row), wi, [x - column as f32, y - row as f32], sine)
 }

@@ -54,14 +54,17 @@ fn read(path: &Path) -> Result<EnvironmentMap, String> {
     if kind.len() > LARGEST_FILE {
         return Err(format!("is larger than {} GiB; scale the map down", LARGEST_FILE >> 30));
     }
-    let bytes = std::fs::read(path).map_err(|error| io_problem(&error))?;
-    // Decoders of others may panic on what their authors have not thought of.
-    catch_unwind(AssertUnwindSafe(|| decode(&bytes)))
-        .unwrap_or_else(|_| Err("is damaged; write it anew".to_owned()))
+    decode(&std::fs::read(path).map_err(|error| io_problem(&error))?)
 }
 
 /// A map out of the bytes of a file.
 pub(super) fn decode(bytes: &[u8]) -> Result<EnvironmentMap, String> {
+    // Decoders of others may panic on what their authors have not thought of.
+    catch_unwind(AssertUnwindSafe(|| decode_kind(bytes)))
+        .unwrap_or_else(|_| Err("is damaged; write it anew".to_owned()))
+}
+
+fn decode_kind(bytes: &[u8]) -> Result<EnvironmentMap, String> {
     match bytes {
         _ if bytes.starts_with(&EXR_MAGIC) => decode_exr(bytes),
         _ if bytes.starts_with(RADIANCE_MAGIC) => decode_radiance(bytes),
