@@ -2,13 +2,14 @@
 
 use super::{ball_under, direction_of, map_of, maps, one_bright, radiance_of};
 use crate::probe::{Numbers, floats, row};
-use crate::samplers::twins::{SIDES, Side, Twins, World};
-use crate::samplers::{Cells, DRAW, DRAW_IMPORTS, WRONG, draw};
+use crate::samplers::twins::{SIDES, Twins, World};
+use crate::samplers::{ALPHA, DRAW, DRAW_IMPORTS, WRONG, draw};
 use glam::{DVec3, Vec3};
 use qtracer::scene::EnvironmentMap;
 use qtracer::scene::compiled::CompiledScene;
 use qtracer::scene::rows::Row;
 use qtracer::scene::sky::{sample_sky, sky_at};
+use qtracer::stats::chi2_test;
 use std::f64::consts::{PI, TAU};
 
 fn world(map: EnvironmentMap) -> World {
@@ -178,46 +179,83 @@ fn samples_of_maps_are_as_looked_up() {
     }
 }
 
-/// χ² on both sides (α = 1e-4 each); cells about an axis that is none of the map's.
+/// Cells of equal longitude and colatitude in which directions are counted: some for each texel.
+struct Grid<'a> {
+    map: &'a EnvironmentMap,
+    columns: u32,
+    rows: u32,
+}
+
+impl Grid<'_> {
+    fn new(map: &EnvironmentMap) -> Grid<'_> {
+        Grid { map, columns: 2 * map.width().max(4), rows: 4 * map.height() }
+    }
+
+    fn find(&self, d: Vec3) -> usize {
+        let d = d.as_dvec3();
+        let turns = (d.x.atan2(-d.z) / TAU + self.map.rotate_y_deg() / 360.0).rem_euclid(1.0);
+        let column = ((turns * f64::from(self.columns)) as u32).min(self.columns - 1);
+        let row = (d.x.hypot(d.z).atan2(d.y) / PI * f64::from(self.rows)) as u32;
+        (row.min(self.rows - 1) * self.columns + column) as usize
+    }
+
+    /// Integrals of a density over all cells, by midpoints.
+    fn integrate(&self, pdf: impl Fn(Vec3) -> f64) -> Vec<f64> {
+        const FINE: u32 = 8;
+        let (columns, rows) = (FINE * self.columns, FINE * self.rows);
+        let area = TAU / f64::from(columns) * PI / f64::from(rows);
+        let mut cells = vec![0.0; (self.columns * self.rows) as usize];
+        for (row, column) in (0..rows).flat_map(|row| (0..columns).map(move |column| (row, column))) {
+            let texel = |i: u32, cells: u32, texels: u32| {
+                (f64::from(i) + 0.5) / f64::from(cells) * f64::from(texels) - 0.5
+            };
+            let x = texel(column, columns, self.map.width());
+            let d = direction_of(self.map, x, texel(row, rows, self.map.height())).as_vec3();
+            let cell = row / FINE * self.columns + column / FINE;
+            cells[cell as usize] += area * f64::from(d.x.hypot(d.z)) * pdf(d);
+        }
+        cells
+    }
+
+    /// p-value of directions against the integrals of a density.
+    fn p_value(&self, draws: &[Vec3], integrals: &[f64]) -> f64 {
+        let mut observed = vec![0u64; integrals.len()];
+        draws.iter().for_each(|d| observed[self.find(*d)] += 1);
+        let expected: Vec<f64> = integrals.iter().map(|p| (p * draws.len() as f64).max(1e-6)).collect();
+        chi2_test(&observed, &expected).unwrap().p_value
+    }
+}
+
+/// χ² on both sides (α = 1e-4 each). Negative controls: a density 4 % greater in every other column and 4 % less between, and one that forgets the
+/// sine.
 #[test]
 fn directions_to_maps_follow_their_density() {
-    let axis = Vec3::new(0.3, 0.8, -0.5).normalize();
     for (name, map) in maps() {
         let world = world(map.clone());
         let sky = world.scene.sky.as_ref().unwrap();
-        // A sun fills a few texels only; about it, cells are small.
-        let cells = match name.starts_with("bright") || name.starts_with("one bright") {
-            true => {
-                let brightest = map.texels().iter().position(|t| t[0] > 1.0).unwrap() as u32;
-                let texel = [brightest % map.width(), brightest / map.width()].map(f64::from);
-                Cells {
-                    axis: direction_of(&map, texel[0], texel[1]).as_vec3(),
-                    bottom: 0.8,
-                    top: 1.0,
-                    rows: 16,
-                    columns: 12,
-                }
-            }
-            false => Cells::sphere(axis),
-        };
-        let integrals = cells.integrate(|d| sky_at(sky, d).pdf.into());
+        let grid = Grid::new(&map);
+        let integrals = grid.integrate(|d| sky_at(sky, d).pdf.into());
         let sum: f64 = integrals.iter().sum();
-        assert!((sum - 1.0).abs() < 2e-3, "{name}: the density integrates to {sum}");
-        // There are no draws without a direction, so what the quadrature leaves over is its error.
-        let integrals: Vec<f64> = integrals.iter().map(|cell| cell / sum).collect();
+        assert!((sum - 1.0).abs() < 1e-4, "{name}: the density integrates to {sum}");
+        let normalised = |cells: Vec<f64>| {
+            let sum: f64 = cells.iter().sum();
+            cells.into_iter().map(|cell| cell / sum).collect::<Vec<f64>>()
+        };
+        let side = |i: usize| if i % 2 == 0 { 1.04 } else { 0.96 };
+        let askew = normalised(integrals.iter().enumerate().map(|(i, p)| p * side(i)).collect());
+        let flat = normalised(grid.integrate(|d| f64::from(sky_at(sky, d).pdf) * f64::from(d.x.hypot(d.z))));
         let (imports, body) = (format!("{DRAW_IMPORTS}{}", SAMPLE.0), format!("{DRAW}{}", SAMPLE.1));
         let twins = Twins::new(&world, (&imports, &body), sample);
         let questions: Vec<_> = (0..1u32 << 18).map(|i| [[0, 0, 0, i]]).collect();
         for side in SIDES {
-            let draws: Vec<_> =
-                twins.answer(side, &questions).into_iter().map(|[wi, _]| Some(floats(wi).0)).collect();
-            cells.are_followed(&format!("{side:?}: {name}"), &draws, &integrals);
-        }
-        // Negative control: without the sine.
-        if name == "uniform" {
-            let flat = cells.integrate(|d| f64::from(d.x.hypot(d.z)) / (PI * PI));
-            let draws = twins.answer(Side::Cpu, &questions);
-            assert!(cells.chi2_of(|i| Some(floats(draws[i as usize][0]).0), &flat) < WRONG);
+            let answers = twins.answer(side, &questions);
+            let draws: Vec<Vec3> = answers.into_iter().map(|[wi, _]| floats(wi).0).collect();
+            let p = grid.p_value(&draws, &normalised(integrals.clone()));
+            assert!(p > ALPHA, "{side:?}, {name}: p = {p}");
+            for wrong in [&askew, &flat] {
+                let p = grid.p_value(&draws, wrong);
+                assert!(p < WRONG, "{side:?}, {name}: a wrong density passes with p = {p}");
+            }
         }
     }
 }
