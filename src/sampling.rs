@@ -56,6 +56,15 @@ pub fn pdf_phong(one_minus_cos: f32, exponent: f32) -> f32 {
     (exponent + 1.0) * (0.5 * FRAC_1_PI) * lobe
 }
 
+/// Where in 0..1 a density falls that goes from `a` to `b` in a line; neither is negative, nor both 0.
+#[inline(always)]
+pub fn sample_linear(u: f32, a: f32, b: f32) -> f32 {
+    let sum = (a + b).max(1e-37);
+    let (a, b) = (a / sum, b / sum);
+    let root = (a * a * (1.0 - u) + b * b * u).sqrt();
+    (u / (a + root).max(1e-20)).min(1.0)
+}
+
 /// One row of an [`AliasTable`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct AliasRow {
@@ -101,10 +110,22 @@ fn first_reaching(numbers: Range<u32>, reaches: impl Fn(f32) -> bool) -> u32 {
 }
 
 impl AliasTable {
-    /// `weights` are positive and finite. Probabilities are those with which entries are really drawn, so that what is
-    /// sampled is what is evaluated: by weight but for rounding, and for entries lighter than 1/4096 of the average.
+    /// `weights` are finite and not negative; those of 0 are never drawn unless all are. Probabilities are those with which
+    /// entries are really drawn, so that what is sampled is what is evaluated: by weight but for rounding, and for entries
+    /// lighter than 1/4096 of the average.
     pub fn new(weights: &[f64]) -> AliasTable {
         let mut table = AliasTable { rows: split_among_rows(weights) };
+        table.count_draws();
+        table
+    }
+
+    /// The same with thresholds of so many bits, and below 1.
+    pub fn coarse(weights: &[f64], threshold_bits: u32) -> AliasTable {
+        let levels = (1u32 << threshold_bits) as f32;
+        let mut table = AliasTable { rows: split_among_rows(weights) };
+        for row in &mut table.rows {
+            row.threshold = (row.threshold * levels).round().min(levels - 1.0) / levels;
+        }
         table.count_draws();
         table
     }
@@ -132,9 +153,12 @@ fn split_among_rows(weights: &[f64]) -> Vec<AliasRow> {
     let count = weights.len();
     let average = weights.iter().sum::<f64>() / count as f64;
     let least = LEAST_SHARE.max(LEAST_DRAWS * count as f64 / f64::from(DRAWABLE)).min(1.0) * average;
-    let weights: Vec<f64> = weights.iter().map(|w| w.max(least)).collect();
-    let total: f64 = weights.iter().sum();
-    let mut share: Vec<f64> = weights.iter().map(|w| w / total * count as f64).collect();
+    let heaviest = (0..count).max_by(|&a, &b| weights[a].total_cmp(&weights[b])).unwrap_or(0);
+    let black = |i: usize| weights[i] == 0.0 && weights[heaviest] > 0.0;
+    let raised = |i: usize| if black(i) { 0.0 } else { weights[i].max(least).max(f64::MIN_POSITIVE) };
+    let raised: Vec<f64> = (0..count).map(raised).collect();
+    let total: f64 = raised.iter().sum();
+    let mut share: Vec<f64> = raised.iter().map(|w| w / total * count as f64).collect();
     let (mut small, mut large): (Vec<usize>, Vec<usize>) = (0..count).partition(|&i| share[i] < 1.0);
     let mut rows: Vec<AliasRow> =
         (0..count).map(|i| AliasRow { probability: 0.0, threshold: 1.0, alias: i as u32 }).collect();
@@ -146,6 +170,10 @@ fn split_among_rows(weights: &[f64]) -> Vec<AliasRow> {
             small.push(l);
             large.pop();
         }
+    }
+    // Rounding may leave rows over, which stay whole, but for those of entries that are never drawn.
+    for row in small.into_iter().filter(|&row| black(row)) {
+        (rows[row].threshold, rows[row].alias) = (0.0, heaviest as u32);
     }
     rows
 }

@@ -118,8 +118,6 @@ def render(given, size):
     import mitsuba_scene
 
     scene = mitsuba_scene.load(mitsuba_scene.read(given.scene), size, given.max_bounces, 1 << 20, given.scene.parent)
-    if scene.environment() is not None and given.direct_light == "on":
-        raise ValueError("its shadow rays must meet their light, which a sky is not; use --direct-light off")
     register()
     integrator = mi.load_dict({
         "type": "qtracer_tight_path",

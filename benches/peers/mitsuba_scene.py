@@ -27,8 +27,11 @@ def load(description, size, max_depth, roulette_depth, folder=Path(".")):
         "integrator": {"type": "path", "max_depth": max_depth, "rr_depth": roulette_depth},
         "sensor": _camera(description["camera"], size),
     }
-    radiance = description.get("environment", {}).get("radiance", [0, 0, 0])
-    if max(radiance) > 0:
+    environment = description.get("environment", {})
+    radiance = environment.get("radiance", [0, 0, 0])
+    if "map" in environment:
+        scene["environment"] = _map(environment, Path(folder))
+    elif max(radiance) > 0:
         scene["environment"] = {"type": "constant", "radiance": _rgb(radiance)}
     materials = description.get("materials", {})
     for name, material in materials.items():
@@ -40,6 +43,23 @@ def load(description, size, max_depth, roulette_depth, folder=Path(".")):
             shape["emitter"] = {"type": "area", "radiance": _rgb(emission)}
         scene[f"shape_{i:04}"] = shape
     return mi.load_dict(scene)
+
+
+def _map(environment, folder):
+    """Mitsuba's first and last rows lie at the poles, qtracer's half a texel from them. Interpolation is linear, so rows at
+    every half texel are the same function: those of the map and the means between them."""
+    texels = np.array(mi.Bitmap(str(folder / environment["map"])).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32))
+    padded = np.concatenate([texels[:1], texels, texels[-1:]]).astype(np.float64)
+    rows = np.empty((2 * texels.shape[0] + 1, *texels.shape[1:]))
+    rows[1::2] = texels
+    rows[0::2] = (padded[1:] + padded[:-1]) / 2
+    tint = np.array(environment.get("radiance", [1, 1, 1])) * environment.get("scale", 1)
+    turn = environment.get("rotate_y_deg", 0)
+    return {
+        "type": "envmap",
+        "bitmap": mi.Bitmap((rows * tint).astype(np.float32)),
+        "to_world": mi.ScalarTransform4f().rotate([0, 1, 0], turn),
+    }
 
 
 def _rgb(colour):

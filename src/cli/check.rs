@@ -6,6 +6,7 @@ use clap::Args;
 use qtracer::engine::SurfaceStats;
 use qtracer::gpu::key::{KIND_NAMES, KernelKey};
 use qtracer::scene::compiled::CompiledScene;
+use qtracer::scene::environment::Sky;
 use qtracer::scene::{Geometry, MaterialKind};
 use qtracer::{RenderOptions, Scene};
 use std::path::{Path, PathBuf};
@@ -70,8 +71,9 @@ fn describe(path: &Path, scene: &Scene) -> String {
         format!("  shapes     {}: {}", scene.shapes.len(), shapes(scene, &compiled)),
         format!("  materials  {}: {}", scene.materials.len(), kinds(scene)),
         format!("  lights     {}{environment}", compiled.lights.len()),
-        format!("  kernels    {key}"),
     ];
+    lines.extend(compiled.sky.as_ref().map(|sky| environment_map(sky, &compiled)));
+    lines.push(format!("  kernels    {key}"));
     lines.extend(SurfaceStats::new(&compiled).map(|stats| surfaces(&stats)));
     lines.join("\n")
 }
@@ -86,6 +88,16 @@ fn surfaces(stats: &SurfaceStats) -> String {
         kib(uv_bytes),
         kib(texture_bytes)
     )
+}
+
+/// What was made of the environment map.
+fn environment_map(sky: &Sky, compiled: &CompiledScene) -> String {
+    let why = match compiled.lights.len() {
+        0 => "all shadow rays: there is no lamp",
+        _ => "shadow rays, by its power against that of the lamps",
+    };
+    let (share, kilobytes) = (100.0 * sky.share, sky.bytes().div_ceil(1 << 10));
+    format!("  map        {}x{}, {kilobytes} KiB, gets {share:.0} % of {why}", sky.width, sky.height)
 }
 
 /// `1 spheres, 12 quads`, and `2 meshes of 96 triangles` where there are any.

@@ -58,7 +58,7 @@ impl CpuEngine {
             search: &search,
             uniforms: &uniforms,
             sampler: self.estimators.sampler,
-            direct_light: self.estimators.direct_light && !self.scene.lights.is_empty(),
+            direct_light: self.estimators.direct_light && self.scene.has_light_to_sample(),
             roulette: self.strategy.roulette,
             places: if self.strategy.informed { self.estimators.places() } else { 1 },
             guidance: self.guide.as_ref().filter(|_| self.strategy.informed).map(|(table, sums)| Guidance {

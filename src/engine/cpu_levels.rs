@@ -102,7 +102,7 @@ fn levels(transport: &Transport, paths: &[u32], radiance: &mut [Vec3]) -> u64 {
         for i in 0..live {
             let Flight { ray, trail, place } = flights[i];
             let Some(hit) = hits[i / TOGETHER][i % TOGETHER] else {
-                let value = transport.environment_value(&trail);
+                let value = transport.environment_value(&ray, &trail);
                 transport.learn(&Transition { slot: trail.slot, value, ..Default::default() });
                 radiance[place] += transport.environment(&ray);
                 continue;
@@ -165,7 +165,7 @@ mod tests {
             for (direct_light, roulette) in [(true, Roulette::Off), (false, Roulette::Throughput)] {
                 let transport = Transport {
                     sampler: Sampler::Stratified,
-                    direct_light: direct_light && !scene.lights.is_empty(),
+                    direct_light: direct_light && scene.has_light_to_sample(),
                     roulette,
                     ..Transport::plain(&scene, &search, &uniforms)
                 };

@@ -30,7 +30,8 @@ pub fn pilot(
         (0..PILOT_PATHS).into_par_iter().flat_map_iter(|i| surface_points(transport, pixels, i)).collect()
     };
     let brightest = scene.materials.iter().map(|m| luminance(m.emission)).fold(0.0, f32::max);
-    let brightest = brightest.max(luminance(scene.environment));
+    let sky = scene.sky.as_ref().map_or(scene.environment, |sky| sky.brightest);
+    let brightest = brightest.max(luminance(sky));
     let mut learner = match before {
         Some(learner) => learner.resumed(options, brightest)?,
         None => {

@@ -10,8 +10,8 @@ use super::show::guide_layers;
 use super::strategy::plain_strategy;
 use super::wavefront::WavefrontEngine;
 use super::{
-    CancelToken, Engine, EngineChoice, EngineKind, Estimators, GuideStats, HierarchyStats, RenderError,
-    RenderOptions, RenderStats, SurfaceStats,
+    CancelToken, Engine, EngineChoice, EngineKind, EnvironmentStats, Estimators, GuideStats, HierarchyStats,
+    RenderError, RenderOptions, RenderStats, SurfaceStats,
 };
 use crate::film::{Film, GuideLayers, Image};
 use crate::gpu::device::Gpu;
@@ -175,6 +175,7 @@ impl Renderer {
             guide: self.learner().map(GuideStats::new),
             hierarchy: HierarchyStats::new(&self.compiled),
             surfaces: SurfaceStats::new(&self.compiled),
+            environment_map: EnvironmentStats::new(&self.compiled),
             ..self.engine.stats()
         }
     }

@@ -32,6 +32,9 @@ pub struct RenderStats {
     /// Normals, texture coordinates and textures; absent where nothing has any.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub surfaces: Option<SurfaceStats>,
+    /// The environment map; absent without one, or if it is black.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub environment_map: Option<EnvironmentStats>,
     /// Submissions to the GPU.
     pub submissions: u64,
     /// Levels recorded by the wavefront engine.
@@ -39,6 +42,28 @@ pub struct RenderStats {
     /// What was learnt; absent where nothing is.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub guide: Option<GuideStats>,
+}
+
+/// Figures about the environment map.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
+pub struct EnvironmentStats {
+    pub width: u32,
+    pub height: u32,
+    /// Bytes of its texels and of the tables that choose among them; part of the scene's rows on a GPU.
+    pub bytes: usize,
+    /// Chance that direct light asks it and not a lamp: by power, 0.25 to 0.75, 1 without lamps.
+    pub share: f32,
+}
+
+impl EnvironmentStats {
+    pub(super) fn new(scene: &CompiledScene) -> Option<EnvironmentStats> {
+        scene.sky.as_ref().map(|sky| EnvironmentStats {
+            width: sky.width,
+            height: sky.height,
+            bytes: sky.bytes(),
+            share: sky.share,
+        })
+    }
 }
 
 /// Figures about the hierarchy over the shapes.

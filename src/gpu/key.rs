@@ -34,7 +34,9 @@ pub struct KernelKey {
     pub kinds: [bool; KINDS],
     /// Light that comes from beyond the scene.
     pub environment: bool,
-    /// Next-event estimation: off without lights, and where no material could use it.
+    /// … that differs by direction.
+    pub environment_map: bool,
+    /// Next-event estimation: off without lights and environment map, and where no material could use it.
     pub direct_light: bool,
     pub sphere_lights: bool,
     pub quad_lights: bool,
@@ -76,7 +78,7 @@ fn small_scene(scene: &CompiledScene) -> Option<SmallScene> {
 impl KernelKey {
     pub fn new(scene: &CompiledScene, estimators: &Estimators) -> Self {
         let kinds = scene.kinds();
-        let direct_light = estimators.direct_light && !scene.lights.is_empty() && non_delta(&kinds);
+        let direct_light = estimators.direct_light && scene.has_light_to_sample() && non_delta(&kinds);
         let light = |is: fn(ShapeIndex) -> bool| {
             direct_light && scene.lights.iter().any(|light| is(scene.shape_index(light.shape)))
         };
@@ -89,7 +91,8 @@ impl KernelKey {
             normal_maps: scene.surfaces.normal_maps,
             textured_lamps: direct_light && scene.surfaces.textured_lamps,
             kinds,
-            environment: scene.environment.max_element() > 0.0,
+            environment: scene.environment.max_element() > 0.0 || scene.sky.is_some(),
+            environment_map: scene.sky.is_some(),
             direct_light,
             sphere_lights: light(|shape| matches!(shape, ShapeIndex::Sphere(_))),
             quad_lights: light(|shape| matches!(shape, ShapeIndex::Quad(_))),
@@ -138,7 +141,9 @@ impl KernelKey {
             ("microfacets", self.kinds[KIND_METAL as usize..].contains(&true)),
             ("non_delta", non_delta(&self.kinds)),
             ("environment", self.environment),
+            ("environment_map", self.environment_map),
             ("direct_light", self.direct_light),
+            ("lamps", self.sphere_lights || self.quad_lights || self.triangle_lights),
             ("sphere_lights", self.sphere_lights),
             ("quad_lights", self.quad_lights),
             ("triangle_lights", self.triangle_lights),

@@ -7,6 +7,7 @@ use crate::film::BlockSum;
 use crate::guiding::{GuideUniforms, Trail, Transition};
 use crate::layout::GpuStruct;
 use crate::scene::compiled::{Light, Material, Quad, Sphere, Triangle, Uniforms};
+use crate::scene::environment::{SkyCell, SkyRow};
 use crate::scene::surfaces::{MaterialMaps, TextureImage, TriangleNormals, TriangleUvs};
 use crate::transport::items::{HitItem, RayItem, ShadowItem};
 use std::borrow::Cow;
@@ -29,6 +30,7 @@ pub const MODULES: &[(&str, &str)] = modules![
     "scene/shading",
     "scene/shapes",
     "scene/texels",
+    "scene/sky",
     "scene/triangle",
     "bsdf/dielectric",
     "bsdf/diffuse",
@@ -96,6 +98,10 @@ fn item_declarations() -> String {
         MaterialMaps::wgsl_rows(),
         TextureImage::wgsl(),
         TextureImage::wgsl_rows(),
+        SkyRow::wgsl(),
+        SkyRow::wgsl_rows(),
+        SkyCell::wgsl(),
+        SkyCell::wgsl_rows(),
         RayItem::wgsl(),
         RayItem::wgsl_rows(),
         HitItem::wgsl(),

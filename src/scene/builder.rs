@@ -9,7 +9,8 @@ use super::description::{MaterialNames, material_index};
 use super::error::Fault;
 use super::validate::{self, shape_label};
 use super::{
-    Camera, Defaults, Geometry, Material, Mesh, MeshData, Placement, Scene, SceneError, Shape, Texture,
+    Camera, Defaults, EnvironmentMap, Geometry, Material, Mesh, MeshData, Placement, Scene, SceneError,
+    Shape, Texture,
 };
 
 /// Makes a [`Scene`] step by step; nothing is checked before [`build`](Self::build). Order is free, shapes may come
@@ -74,6 +75,7 @@ impl Scene {
             description: String::new(),
             camera: Camera { origin, target, up, fov_y_deg: 40.0, width: 512, height: 512 },
             environment: DVec3::ZERO,
+            environment_map: None,
             materials: Vec::new(),
             textures: Vec::new(),
             shapes: Vec::new(),
@@ -114,6 +116,15 @@ impl SceneBuilder {
     /// Radiance from every direction that hits nothing.
     pub fn environment(mut self, radiance: impl Into<DVec3>) -> Self {
         self.scene.environment = radiance.into();
+        self
+    }
+
+    /// Radiance by direction, for what hits nothing. A radiance of the environment that is not black multiplies it.
+    pub fn environment_map(mut self, map: EnvironmentMap) -> Self {
+        if self.scene.environment == DVec3::ZERO {
+            self.scene.environment = DVec3::ONE;
+        }
+        self.scene.environment_map = Some(map);
         self
     }
 

@@ -1,6 +1,7 @@
 //! The scene as the transport sees it: f32, flat arrays, lights with their table. GPU twin: kernels/scene/data.wesl
 
 use super::bvh::Bvh;
+use super::environment::{Sky, environment_share};
 use super::shapes::RELATIVE_OFFSET;
 use super::surfaces::Surfaces;
 use super::triangle::double_area;
@@ -74,6 +75,14 @@ gpu_struct! {
         first_srgb_row: u32,
         /// Survival in roulette is this times what it would be.
         roulette_scale: f32,
+        /// The environment map: where it begins, its size, and by how much of a turn its longitude is ahead of the world's.
+        first_sky_row: u32,
+        first_sky_cell_row: u32,
+        sky_width: u32,
+        sky_height: u32,
+        sky_turn: f32,
+        /// Chance that direct light asks the environment map, not a lamp.
+        environment_share: f32,
     }
     /// What every ray reads comes first; rows.rs says where that ends.
     pub struct Sphere {
@@ -154,9 +163,11 @@ pub struct CompiledScene {
     pub triangles: Vec<Triangle>,
     pub materials: Vec<Material>,
     pub lights: Vec<Light>,
+    /// Radiance from beyond the scene where there is no map of it.
     pub environment: Vec3,
     /// Normals, texture coordinates and textures.
     pub surfaces: Surfaces,
+    pub sky: Option<Sky>,
     /// Where the shapes are too many to ask them all.
     pub bvh: Option<Bvh>,
 }
@@ -178,8 +189,9 @@ impl CompiledScene {
     pub fn new(scene: &Scene) -> CompiledScene {
         let mut compiled = CompiledScene {
             materials: scene.materials.iter().map(compile_material).collect(),
-            environment: scene.environment.as_vec3(),
             surfaces: Surfaces::new(scene),
+            environment: scene.environment_map.as_ref().map_or(scene.environment.as_vec3(), |_| Vec3::ZERO),
+            sky: scene.environment_map.as_ref().and_then(|map| Sky::new(map, scene.environment)),
             ..Default::default()
         };
         // Emitters first: where a lamp lies flush in another surface, rays that meet both at once see the lamp.
@@ -210,6 +222,8 @@ impl CompiledScene {
         }
         compiled.sort_quads();
         compiled.find_lights();
+        let share = environment_share(&compiled);
+        compiled.sky.iter_mut().for_each(|sky| sky.share = share);
         compiled.bvh = (!compiled.is_small()).then(|| Bvh::new(&compiled));
         compiled
     }
@@ -262,6 +276,11 @@ impl CompiledScene {
         }
     }
 
+    /// Whether there is anything for direct light to aim at.
+    pub fn has_light_to_sample(&self) -> bool {
+        !self.lights.is_empty() || self.sky.is_some()
+    }
+
     /// Every emitting shape, chosen with probability proportional to its power.
     fn find_lights(&mut self) {
         let CompiledScene { spheres, quads, triangles, materials, lights, surfaces, .. } = self;
@@ -305,13 +324,16 @@ impl CompiledScene {
 
     /// A number that differs between scenes that light spreads in differently, wherever the camera is (FNV-1a).
     pub fn light_fingerprint(&self) -> u64 {
-        fnv1a(self.arrays().chain([bytemuck::bytes_of(&self.environment)]))
+        let turn = self.sky.as_ref().map_or(0.0, |sky| sky.turn);
+        let far = [bytemuck::bytes_of(&self.environment), bytemuck::bytes_of(&turn)];
+        fnv1a(self.arrays().chain(far))
     }
 
     fn arrays(&self) -> impl Iterator<Item = &[u8]> {
         let CompiledScene { spheres, quads, triangles, materials, .. } = self;
+        let sky = self.sky.as_ref().map_or(&[][..], |sky| &sky.cells);
         use bytemuck::cast_slice as bytes;
-        let shapes = [bytes(spheres), bytes(quads), bytes(triangles), bytes(materials)];
+        let shapes = [bytes(spheres), bytes(quads), bytes(triangles), bytes(materials), bytes(sky)];
         shapes.into_iter().chain(self.surfaces.bytes())
     }
 
@@ -345,7 +367,11 @@ impl CompiledScene {
             first_texture_image_row,
             first_texel_row,
             first_srgb_row,
+            first_sky_row,
+            first_sky_cell_row,
         ] = rows::first_rows(self);
+        let (sky_width, sky_height, sky_turn, environment_share) =
+            self.sky.as_ref().map_or((0, 0, 0.0, 0.0), |sky| (sky.width, sky.height, sky.turn, sky.share));
         Uniforms {
             camera_origin: camera.origin.as_vec3(),
             seed,
@@ -372,6 +398,12 @@ impl CompiledScene {
             first_texture_image_row,
             first_texel_row,
             first_srgb_row,
+            first_sky_row,
+            first_sky_cell_row,
+            sky_width,
+            sky_height,
+            sky_turn,
+            environment_share,
             ..Default::default()
         }
     }

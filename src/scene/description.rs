@@ -7,13 +7,16 @@ use glam::DVec3;
 
 use super::boxes::box_quads;
 use super::document::{Node, Value};
+use super::environment;
 use super::error::{Fault, SceneError, quoted, suggestion};
 use super::fields::Fields;
 use super::mesh::file::of_scene;
 use super::model::{self, Model};
 use super::texture::{MaterialTextures, Texture, TextureFiles, TextureRef, Wrap};
 use super::validate::{self, material_label, shape_label};
-use super::{Camera, Defaults, Geometry, Material, MaterialKind, Placement, Scene, SceneWarning, Shape};
+use super::{
+    Camera, Defaults, EnvironmentMap, Geometry, Material, MaterialKind, Placement, Scene, SceneWarning, Shape,
+};
 
 const TOP_KEYS: [&str; 7] = ["name", "description", "camera", "environment", "render", "materials", "shapes"];
 const MATERIAL_TYPES: [&str; 7] =
@@ -35,11 +38,14 @@ pub(super) fn scene(root: &Node, folder: Option<&Path>) -> Result<Scene, SceneEr
         Models { names, folder, materials: &mut materials, textures: &mut files.all, warnings: Vec::new() };
     let shapes = shapes(top.node("shapes"), &mut models)?;
     let file_warnings = models.warnings;
+    let (radiance, environment_map) =
+        section(&top, "environment", |fields| environment(fields, folder))?.unwrap_or_default();
     let scene = Scene {
         name,
         description,
         camera: section(&top, "camera", camera)?.ok_or_else(no_camera)?,
-        environment: section(&top, "environment", environment)?.unwrap_or(DVec3::ZERO),
+        environment: radiance,
+        environment_map,
         shapes,
         defaults: section(&top, "render", render)?.unwrap_or_default(),
         materials,
@@ -88,11 +94,26 @@ fn camera(fields: &Fields<'_>) -> Result<Camera, Fault> {
     Ok(camera)
 }
 
-fn environment(fields: &Fields<'_>) -> Result<DVec3, Fault> {
-    fields.only(&["radiance"])?;
-    let radiance = fields.need("radiance")?;
-    validate::light("radiance", radiance).map_err(|problem| fields.broken(problem))?;
-    Ok(radiance)
+/// A radiance, or a map and what it is multiplied by.
+fn environment(fields: &Fields<'_>, folder: Option<&Path>) -> Result<(DVec3, Option<EnvironmentMap>), Fault> {
+    let Some(file) = fields.get::<String>("map")? else {
+        for key in ["scale", "rotate_y_deg"].into_iter().filter(|key| fields.node(key).is_some()) {
+            return Err(fields.broken(format!("{key} needs a map; add map = \"sky.hdr\" or remove it")));
+        }
+        fields.only(&["radiance", "map", "scale", "rotate_y_deg"])?;
+        let radiance = fields.need("radiance")?;
+        validate::light("radiance", radiance).map_err(|problem| fields.broken(problem))?;
+        return Ok((radiance, None));
+    };
+    fields.only(&["radiance", "map", "scale", "rotate_y_deg"])?;
+    let tint = fields.get("radiance")?.unwrap_or(DVec3::ONE);
+    let scale = fields.get("scale")?.unwrap_or(1.0);
+    validate::light("radiance", tint).map_err(|problem| fields.broken(problem))?;
+    validate::light("scale", DVec3::splat(scale)).map_err(|problem| fields.broken(problem))?;
+    let map = environment::of_scene(&file, folder).map_err(|problem| fields.broken(problem))?;
+    let map = map.rotated(fields.get("rotate_y_deg")?.unwrap_or(0.0));
+    validate::environment_map(&map, tint * scale).map_err(|problem| fields.broken(problem))?;
+    Ok((tint * scale, Some(map)))
 }
 
 fn render(fields: &Fields<'_>) -> Result<Defaults, Fault> {

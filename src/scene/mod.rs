@@ -15,6 +15,9 @@
 //! height = 256
 //! [environment]
 //! radiance = [0.1, 0.1, 0.1]  # default black
+//! # map = "sky.hdr"           # a .hdr or .exr file beside the scene; then radiance tints it, by default 1
+//! # scale = 2                 # … times this, default 1
+//! # rotate_y_deg = 90         # … and it is turned so
 //! [render]
 //! spp = 64                    # default, as is every key of [render]
 //! [materials.white]
@@ -59,11 +62,13 @@ mod bvh_build;
 pub mod camera;
 mod coincidence;
 pub mod compiled;
+pub mod environment;
 mod mesh;
 mod model;
 pub mod rows;
 pub mod shading;
 pub mod shapes;
+pub mod sky;
 pub mod surfaces;
 pub mod texels;
 mod texture;
@@ -86,6 +91,7 @@ use std::sync::Arc;
 use glam::DVec3;
 
 pub use builder::SceneBuilder;
+pub use environment::EnvironmentMap;
 pub use error::{Place, SceneError};
 pub use mesh::{Mesh, MeshData, Placement, Repairs};
 pub use texture::{MaterialTextures, Texture, TextureRef, Wrap};
@@ -101,8 +107,10 @@ pub struct Scene {
     pub description: String,
     /// Where it is seen from.
     pub camera: Camera,
-    /// Radiance arriving from every direction that hits nothing; ≥ 0.
+    /// Radiance arriving from every direction that hits nothing; ≥ 0. With a map, what that is multiplied by.
     pub environment: DVec3,
+    /// Radiance by direction.
+    pub environment_map: Option<EnvironmentMap>,
     /// Sorted by name when read from a file, in order of addition when built.
     pub materials: Vec<Material>,
     /// Images that materials refer to.

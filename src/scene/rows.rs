@@ -3,6 +3,7 @@
 //! GPU twin: kernels/scene/data.wesl
 
 use super::compiled::{CompiledScene, Light, Material, Quad, Sphere, Triangle};
+use super::environment::{SkyCell, SkyRow};
 use super::surfaces::{MaterialMaps, Surfaces, TextureImage, TriangleNormals, TriangleUvs};
 use crate::layout::GpuStruct;
 use std::mem::offset_of;
@@ -41,9 +42,10 @@ impl<'a> Part<'a> {
 }
 
 /// The parts in the order in which they lie in the buffer.
-fn parts(scene: &CompiledScene) -> [Part<'_>; 14] {
+fn parts(scene: &CompiledScene) -> [Part<'_>; 16] {
     let Surfaces { normals, uvs, maps, images, texels, srgb, .. } = &scene.surfaces;
     let nodes = scene.bvh.as_ref().map_or(&[][..], |bvh| &bvh.rows);
+    let (sky_rows, sky_cells) = scene.sky.as_ref().map_or((&[][..], &[][..]), |sky| (&sky.rows, &sky.cells));
     [
         Part::new(&scene.spheres, 0..SPHERE_HOT_ROWS),
         Part::new(&scene.quads, 0..QUAD_HOT_ROWS),
@@ -59,6 +61,8 @@ fn parts(scene: &CompiledScene) -> [Part<'_>; 14] {
         Part::new(images, 0..TextureImage::ROWS),
         Part::of_rows(texels),
         Part::of_rows(srgb),
+        Part::new(sky_rows, 0..SkyRow::ROWS),
+        Part::new(sky_cells, 0..SkyCell::ROWS),
     ]
 }
 
@@ -100,7 +104,7 @@ fn aligned_rows(quad: &Quad, axis: usize) -> [Row; ALIGNED_ROWS] {
 }
 
 /// The number of the first row of each part.
-pub fn first_rows(scene: &CompiledScene) -> [u32; 14] {
+pub fn first_rows(scene: &CompiledScene) -> [u32; 16] {
     let mut next = 0;
     parts(scene).map(|part| {
         let first = next;

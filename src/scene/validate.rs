@@ -7,7 +7,8 @@ use glam::DVec3;
 use super::error::{Fault, quoted};
 use super::texture::check_size;
 use super::{
-    Camera, Defaults, Geometry, Material, MaterialKind, Placement, Scene, SceneError, Shape, Texture,
+    Camera, Defaults, EnvironmentMap, Geometry, Material, MaterialKind, Placement, Scene, SceneError, Shape,
+    Texture,
 };
 
 /// `Err` says what is wrong and the remedy, without the object's name.
@@ -39,6 +40,10 @@ impl Scene {
             |object: &str, check: Check| check.map_err(|problem| Fault::from(problem).of(object, None));
         named("camera", camera(&self.camera))?;
         named("environment", light("radiance", self.environment))?;
+        named(
+            "environment",
+            self.environment_map.iter().try_for_each(|m| environment_map(m, self.environment)),
+        )?;
         named("render", defaults(&self.defaults))?;
         let mut names = HashSet::new();
         for item in &self.materials {
@@ -309,6 +314,17 @@ pub(super) fn light(key: &str, color: DVec3) -> Check {
     })?;
     ensure(color.max_element() <= BRIGHTEST, || {
         format!("{key} {} is too bright to be squared in 32 bits; stay within {BRIGHTEST:e}", list(color))
+    })
+}
+
+/// A map, with what it is multiplied by.
+pub(super) fn environment_map(map: &EnvironmentMap, tint: DVec3) -> Check {
+    finite("rotate_y_deg", map.rotate_y_deg())?;
+    let brightest = f64::from(map.brightest()) * tint.max_element();
+    ensure(brightest <= BRIGHTEST, || {
+        format!(
+            "map reaches a radiance of {brightest:e}, too bright to be squared in 32 bits; stay within {BRIGHTEST:e}"
+        )
     })
 }
 

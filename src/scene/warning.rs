@@ -38,6 +38,11 @@ pub enum SceneWarning {
         /// The shape in whose surface it lies.
         other: String,
     },
+    /// The environment map had negative radiance, which was taken for black.
+    NegativeRadiance {
+        /// How many.
+        texels: usize,
+    },
     /// Triangles that were left out of meshes, and normals and texture coordinates that were replaced.
     MeshRepaired {
         /// The first such mesh, as errors call it.
@@ -96,6 +101,11 @@ impl fmt::Display for SceneWarning {
                 write!(f, "{mesh}{more}: {}; clean the mesh to be rid of this", repairs_made(repairs))
             }
             Self::InFile { file, problem } => write!(f, "{file}: {problem}"),
+            Self::NegativeRadiance { texels } => write!(
+                f,
+                "environment: {texels} texels of the map are negative somewhere, which counts as 0; write it without to be \
+                 rid of this"
+            ),
             Self::BelowResolution { shape, size, offset, others } => {
                 let more = if *others > 0 { format!(" (and {others} more)") } else { String::new() };
                 write!(
@@ -115,6 +125,8 @@ impl Scene {
         if !self.has_light() {
             warnings.push(SceneWarning::NoLight);
         }
+        let negative = self.environment_map.iter().map(|map| map.negative()).filter(|&texels| texels > 0);
+        warnings.extend(negative.map(|texels| SceneWarning::NegativeRadiance { texels }));
         warnings.extend(self.materials.iter().filter_map(albedo_warning));
         warnings.extend(self.materials.iter().filter_map(roughness_warning));
         warnings.extend(self.flush_lamps());
@@ -173,7 +185,8 @@ impl Scene {
 
     fn has_light(&self) -> bool {
         let emits = |index: usize| self.materials.get(index).is_some_and(Material::is_emissive);
-        self.environment.max_element() > 0.0 || self.shapes.iter().any(|shape| emits(shape.material))
+        let sky = self.environment_map.as_ref().is_none_or(|map| map.brightest() > 0.0);
+        sky && self.environment.max_element() > 0.0 || self.shapes.iter().any(|shape| emits(shape.material))
     }
 }
 

@@ -32,13 +32,13 @@ gpu_struct! {
     /// A shadow ray towards a light. 48 bytes.
     pub struct ShadowItem {
         origin: Vec3,
-        /// Distance to the light.
+        /// Distance to the light; beyond everything to the environment.
         t_max: f32,
         direction: Vec3,
         path: u32,
         /// What arrives at the camera if nothing is in the way.
         radiance: Vec3,
-        /// The light itself, which cannot shade the side that it shows.
+        /// The light itself, which cannot shade the side that it shows; `u32::MAX` for the environment.
         light_shape: u32,
     }
 }

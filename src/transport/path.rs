@@ -16,10 +16,11 @@ use crate::random::{DIMENSION_CAMERA, SampleKey, Sampler, dimension_bsdf, dimens
 use crate::sampling::pdf_cosine;
 use crate::scene::camera::camera_ray;
 use crate::scene::compiled::{
-    CompiledScene, KIND_DIELECTRIC, KIND_MIRROR, KIND_ROUGH_DIELECTRIC, Material, Uniforms,
+    CompiledScene, KIND_DIELECTRIC, KIND_MIRROR, KIND_ROUGH_DIELECTRIC, Material, NONE, Uniforms,
 };
 use crate::scene::shading::{keeps_side, viewed_normal};
-use crate::scene::shapes::{Hit, Ray, Surface, shape_info, spawn_ray, surface_at, uv_at};
+use crate::scene::shapes::{Hit, Ray, Surface, T_MISS, shape_info, spawn_ray, surface_at, uv_at};
+use crate::scene::sky::{sample_sky, sky_at};
 use crate::scene::texels::{textured, textured_emission};
 use glam::{Vec3, Vec4, Vec4Swizzles};
 
@@ -31,7 +32,7 @@ pub struct Transport<'a> {
     pub search: &'a Search<'a>,
     pub uniforms: &'a Uniforms,
     pub sampler: Sampler,
-    /// Next-event estimation, combined with BSDF sampling; needs a light.
+    /// Next-event estimation, combined with BSDF sampling; needs a light or an environment map.
     pub direct_light: bool,
     pub roulette: Roulette,
     /// Places that a path has for its radiance: how many copies learnt roulette may make of it. Usually 1.
@@ -161,16 +162,27 @@ impl<'a> Transport<'a> {
         }
     }
 
-    /// Light of the environment that a ray meets which left the scene.
+    /// Radiance from where a ray goes that left the scene. Direct light may have found it too, as in [`Self::emission`].
     #[inline]
-    pub fn environment(&self, ray: &RayItem) -> Vec3 {
-        ray.throughput * self.uniforms.environment
+    fn environment_radiance(&self, ray: &RayItem) -> Vec3 {
+        let Some(sky) = &self.scene.sky else { return self.uniforms.environment };
+        let met = sky_at(sky, ray.direction);
+        if self.direct_light && ray.pdf > 0.0 {
+            return met.radiance * mis_weight(ray.pdf, self.uniforms.environment_share * met.pdf);
+        }
+        met.radiance
     }
 
-    /// What such a ray teaches the slot of its trail.
+    /// Light of the environment that such a ray brings.
     #[inline]
-    pub fn environment_value(&self, trail: &Trail) -> f32 {
-        luminance(self.uniforms.environment) * trail.weight
+    pub fn environment(&self, ray: &RayItem) -> Vec3 {
+        ray.throughput * self.environment_radiance(ray)
+    }
+
+    /// What it teaches the slot of its trail.
+    #[inline]
+    pub fn environment_value(&self, ray: &RayItem, trail: &Trail) -> f32 {
+        luminance(self.environment_radiance(ray)) * trail.weight
     }
 
     /// Radiance that the surface itself sends back along the ray. Direct-light sampling could have found it too, unless
@@ -186,11 +198,43 @@ impl<'a> Transport<'a> {
             let light = shape_info(self.scene, hit.shape).light;
             if let Some(light) = self.scene.lights.get(light as usize) {
                 let pdf = light.pick_probability
-                    * pdf_light(self.scene, ray.origin, hit.shape, ray.direction, hit.t);
+                    * pdf_light(self.scene, ray.origin, hit.shape, ray.direction, hit.t)
+                    * (1.0 - self.uniforms.environment_share);
                 weight = mis_weight(ray.pdf, pdf);
             }
         }
         material.emission * weight
+    }
+
+    /// Direct light from the environment map: by chance `u.w`, which below the share of the map is as good as new.
+    #[inline(always)]
+    fn sky_light(
+        &self,
+        ray: &RayItem,
+        surface: &Surface,
+        (normal, facing): (Vec3, Vec3),
+        material: &Material,
+        u: Vec4,
+    ) -> Option<ShadowItem> {
+        let share = self.uniforms.environment_share;
+        let towards = sample_sky(self.scene, Vec4::new(u.x, u.y, u.z, u.w / share));
+        if towards.pdf <= 0.0 || !keeps_side(normal, facing, towards.wi) {
+            return None;
+        }
+        let outside = ray.direction.dot(surface.normal) < 0.0;
+        let bsdf = bsdf_evaluate(material, normal, -ray.direction, outside, towards.wi);
+        if bsdf.value.max_element() <= 0.0 {
+            return None;
+        }
+        let pdf = share * towards.pdf;
+        Some(ShadowItem {
+            origin: spawn_ray(surface, towards.wi).origin,
+            t_max: T_MISS,
+            direction: towards.wi,
+            path: ray.path,
+            radiance: bsdf.value * towards.radiance * (mis_weight(pdf, bsdf.pdf) / pdf),
+            light_shape: NONE,
+        })
     }
 
     /// Next-event estimation: one light, one direction, to be tested for occlusion. None where nothing can arrive. Its
@@ -205,10 +249,13 @@ impl<'a> Transport<'a> {
         key: SampleKey,
     ) -> Option<ShadowItem> {
         let u = sample4(self.sampler, key, dimension_light(bounce_of(ray)));
-        let light = &self.scene.lights[choose_light(self.scene, u.x) as usize];
-        // The point that the continued ray will leave from, so that both strategies measure the light from the same place.
         let outside = ray.direction.dot(surface.normal) < 0.0;
         let facing = if outside { surface.normal } else { -surface.normal };
+        if u.w < self.uniforms.environment_share {
+            return self.sky_light(ray, surface, (normal, facing), material, u);
+        }
+        let light = &self.scene.lights[choose_light(self.scene, u.x) as usize];
+        // The point that the continued ray will leave from, so that both strategies measure the light from the same place.
         let mut origin = spawn_ray(surface, facing).origin;
         let mut towards = sample_light(self.scene, origin, light.shape, u.yz());
         if material.kind == KIND_ROUGH_DIELECTRIC && towards.wi.dot(facing) < 0.0 {
@@ -223,7 +270,7 @@ impl<'a> Transport<'a> {
         if bsdf.value.max_element() <= 0.0 {
             return None;
         }
-        let pdf = light.pick_probability * towards.pdf;
+        let pdf = light.pick_probability * towards.pdf * (1.0 - self.uniforms.environment_share);
         let emission = match self.scene.surfaces.textured_lamps {
             false => self.scene.materials[light.material as usize].emission,
             true => {

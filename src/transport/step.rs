@@ -25,7 +25,7 @@ impl Transport<'_> {
         let Some(hit) = hit else {
             self.learn(&Transition {
                 slot: trail.slot,
-                value: self.environment_value(trail),
+                value: self.environment_value(ray, trail),
                 ..Default::default()
             });
             return StepOutcome { emitted: self.environment(ray), ..Default::default() };

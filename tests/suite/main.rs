@@ -9,6 +9,7 @@
 mod bench_report;
 mod energy;
 mod engines;
+mod environment;
 mod extremes;
 mod failing_images;
 mod films;

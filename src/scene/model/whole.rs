@@ -44,6 +44,7 @@ fn whole(mut model: Model, name: String, file: &str, camera: Option<&str>) -> Re
         description: String::new(),
         camera,
         environment: if lit { DVec3::ZERO } else { DVec3::splat(SKY) },
+        environment_map: None,
         file_warnings: model.findings.warnings(file),
         materials: model.materials,
         textures: model.textures,

@@ -17,7 +17,7 @@ mod materials;
 mod microfacet_albedos;
 mod microfacets;
 mod random;
-mod twins;
+pub mod twins;
 mod weights;
 
 pub use cells::{ALPHA, Cells, WRONG};
@@ -26,10 +26,10 @@ use qtracer::Sampler;
 use qtracer::random::{SampleKey, sample4};
 
 /// The numbers that path `i` draws: the program's own, so that they are tested too. [`DRAW`] is the kernels'.
-fn draw(i: u32) -> glam::Vec4 {
+pub fn draw(i: u32) -> glam::Vec4 {
     sample4(Sampler::Independent, SampleKey { pixel: 3, sample: i, seed: 41 }, 7)
 }
 
 /// [`draw`] of the question's last word, as `u`.
-const DRAW: &str = "let u = sample4(SampleKey(3u, a.w, 41u), 7u);\n";
-const DRAW_IMPORTS: &str = "import package::base::random::{SampleKey, sample4};\n";
+pub const DRAW: &str = "let u = sample4(SampleKey(3u, a.w, 41u), 7u);\n";
+pub const DRAW_IMPORTS: &str = "import package::base::random::{SampleKey, sample4};\n";

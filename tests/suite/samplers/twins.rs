@@ -60,7 +60,7 @@ impl World {
     /// As the kernels of [`Twins`] are linked.
     pub fn transport(&self) -> Transport<'_> {
         let plain = Transport::plain(&self.scene, &self.search, &self.uniforms);
-        Transport { direct_light: !self.scene.lights.is_empty(), sampler: self.sampler, ..plain }
+        Transport { direct_light: self.scene.has_light_to_sample(), sampler: self.sampler, ..plain }
     }
 
     fn key(&self) -> KernelKey {

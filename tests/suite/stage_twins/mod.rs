@@ -79,7 +79,7 @@ fn compare(
         .iter()
         .map(|(scene, uniforms)| Transport {
             sampler: estimators.sampler,
-            direct_light: estimators.direct_light && !scene.lights.is_empty(),
+            direct_light: estimators.direct_light && scene.has_light_to_sample(),
             roulette: estimators.roulette,
             guidance,
             ..Transport::plain(scene, &search, uniforms)
@@ -150,6 +150,7 @@ fn stages_answer_as_their_twins_do_behind_a_door() {
 #[test]
 fn stages_answer_as_their_twins_do_under_an_open_sky() {
     stages_answer_as_their_twins_do("furnace-open-half");
+    stages_answer_as_their_twins_do("open-sky");
 }
 
 /// With a guide that has learnt: the mixture, what is remembered, what is taught.
