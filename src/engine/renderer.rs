@@ -41,7 +41,10 @@ impl Renderer {
     /// Prepares the scene for the engine that the options ask for, or the best there is.
     pub fn new(scene: &Scene, options: RenderOptions) -> Result<Renderer, RenderError> {
         options.validate(scene)?;
-        let compiled = CompiledScene::new(scene);
+        let mut compiled = CompiledScene::new(scene);
+        if options.light_tree == Some(false) {
+            compiled.light_tree = None;
+        }
         let (width, height) = options.size.unwrap_or((scene.camera.width, scene.camera.height));
         let mut uniforms = compiled.uniforms(&scene.camera, width, height, options.seed);
         let estimators = options.estimators(scene);

@@ -7,6 +7,7 @@ use crate::film::BlockSum;
 use crate::guiding::{GuideUniforms, Trail, Transition};
 use crate::layout::GpuStruct;
 use crate::scene::compiled::{Light, Material, Quad, Sphere, Triangle, Uniforms};
+use crate::scene::light_tree::LightCluster;
 use crate::transport::items::{HitItem, RayItem, ShadowItem};
 use std::borrow::Cow;
 use wesl::{CompileOptions, Feature, Features, ManglerKind, ModulePath, VirtualResolver, Wesl};
@@ -39,6 +40,7 @@ pub const MODULES: &[(&str, &str)] = modules![
     "guiding/table",
     "transport/guide",
     "transport/light",
+    "transport/light_tree",
     "transport/path",
     "transport/roulette",
     "transport/split",
@@ -81,6 +83,8 @@ fn item_declarations() -> String {
         Material::wgsl_rows(),
         Light::wgsl(),
         Light::wgsl_rows(),
+        LightCluster::wgsl(),
+        LightCluster::wgsl_rows(),
         RayItem::wgsl(),
         RayItem::wgsl_rows(),
         HitItem::wgsl(),

@@ -5,6 +5,7 @@ use super::key::{KIND_NAMES, KernelKey, SmallScene};
 use crate::layout::GpuStruct;
 use crate::scene::bvh::NODE_ROWS;
 use crate::scene::compiled::{KINDS, Light, Material, Quad, Sphere, Triangle};
+use crate::scene::light_tree::LightCluster;
 use crate::scene::rows::{ALIGNED_ROWS, QUAD_HOT_ROWS, SPHERE_HOT_ROWS};
 use std::fmt::Write;
 
@@ -251,6 +252,7 @@ impl Stage {
             ("TRIANGLE_ROWS", Triangle::ROWS),
             ("MATERIAL_ROWS", Material::ROWS),
             ("LIGHT_ROWS", Light::ROWS),
+            ("CLUSTER_ROWS", LightCluster::ROWS),
         ] {
             define(name, rows as u32);
         }

@@ -1,6 +1,7 @@
 //! The scene as the transport sees it: f32, flat arrays, lights with their table. GPU twin: kernels/scene/data.wesl
 
 use super::bvh::Bvh;
+use super::light_tree::{FEWEST_LIGHTS, LightTree};
 use super::shapes::RELATIVE_OFFSET;
 use super::triangle::double_area;
 use super::{Camera, Geometry, MaterialKind, Mesh, Scene, rows};
@@ -59,10 +60,10 @@ gpu_struct! {
         first_material_row: u32,
         first_light_row: u32,
         first_node_row: u32,
+        first_cluster_row: u32,
         /// Survival in roulette is this times what it would be.
         roulette_scale: f32,
         _pad0: u32,
-        _pad1: u32,
     }
     /// What every ray reads comes first; rows.rs says where that ends.
     pub struct Sphere {
@@ -119,9 +120,10 @@ gpu_struct! {
         /// Stay on this row below, go to alias_index from here on.
         threshold: f32,
         alias_index: u32,
+        /// Which cluster of the light tree it is, where there is one.
+        cluster: u32,
         _pad0: u32,
         _pad1: u32,
-        _pad2: u32,
     }
 }
 
@@ -137,6 +139,8 @@ pub struct CompiledScene {
     pub triangles: Vec<Triangle>,
     pub materials: Vec<Material>,
     pub lights: Vec<Light>,
+    /// Where the lights are too many to choose by power alone.
+    pub light_tree: Option<LightTree>,
     pub environment: Vec3,
     /// Where the shapes are too many to ask them all.
     pub bvh: Option<Bvh>,
@@ -187,6 +191,7 @@ impl CompiledScene {
         }
         compiled.sort_quads();
         compiled.find_lights();
+        compiled.light_tree = (compiled.lights.len() >= FEWEST_LIGHTS).then(|| LightTree::new(&mut compiled));
         compiled.bvh = (!compiled.is_small()).then(|| Bvh::new(&compiled));
         compiled
     }
@@ -316,6 +321,7 @@ impl CompiledScene {
             first_material_row,
             first_light_row,
             first_node_row,
+            first_cluster_row,
         ] = rows::first_rows(self);
         Uniforms {
             camera_origin: camera.origin.as_vec3(),
@@ -337,6 +343,7 @@ impl CompiledScene {
             first_material_row,
             first_light_row,
             first_node_row,
+            first_cluster_row,
             ..Default::default()
         }
     }

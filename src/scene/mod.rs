@@ -49,6 +49,7 @@ mod bvh_build;
 pub mod camera;
 mod coincidence;
 pub mod compiled;
+pub mod light_tree;
 mod mesh;
 pub mod rows;
 pub mod shapes;

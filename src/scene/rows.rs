@@ -3,6 +3,7 @@
 //! GPU twin: kernels/scene/data.wesl
 
 use super::compiled::{CompiledScene, Light, Material, Quad, Sphere, Triangle};
+use super::light_tree::LightCluster;
 use crate::layout::GpuStruct;
 use std::mem::offset_of;
 use std::ops::Range;
@@ -36,7 +37,8 @@ impl<'a> Part<'a> {
 }
 
 /// The parts in the order in which they lie in the buffer.
-fn parts(scene: &CompiledScene) -> [Part<'_>; 8] {
+fn parts(scene: &CompiledScene) -> [Part<'_>; 9] {
+    let clusters = scene.light_tree.as_ref().map_or(&[][..], |tree| &tree.clusters);
     let nodes = scene.bvh.as_ref().map_or(&[][..], |bvh| &bvh.rows);
     [
         Part::new(&scene.spheres, 0..SPHERE_HOT_ROWS),
@@ -47,6 +49,7 @@ fn parts(scene: &CompiledScene) -> [Part<'_>; 8] {
         Part::new(&scene.materials, 0..Material::ROWS),
         Part::new(&scene.lights, 0..Light::ROWS),
         Part { rows: nodes, rows_per_item: 1, wanted: 0..1 },
+        Part::new(clusters, 0..LightCluster::ROWS),
     ]
 }
 
@@ -88,7 +91,7 @@ fn aligned_rows(quad: &Quad, axis: usize) -> [Row; ALIGNED_ROWS] {
 }
 
 /// The number of the first row of each part.
-pub fn first_rows(scene: &CompiledScene) -> [u32; 8] {
+pub fn first_rows(scene: &CompiledScene) -> [u32; 9] {
     let mut next = 0;
     parts(scene).map(|part| {
         let first = next;

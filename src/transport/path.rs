@@ -3,7 +3,7 @@
 
 use super::guide::{Guidance, GuidePoint};
 use super::items::{RayItem, ShadowItem};
-use super::light::{choose_light, pdf_light, sample_light};
+use super::light::{choose_light, light_probability, pdf_light, sample_light};
 use super::roulette::Roulette;
 use super::split::{SEED_SHIFT, Share, bounce_of, budget_of, copies_of, pack_bounce, share_of};
 use crate::accel::Search;
@@ -15,7 +15,7 @@ use crate::math::{luminance, mis_weight};
 use crate::random::{DIMENSION_CAMERA, SampleKey, Sampler, dimension_bsdf, dimension_light, sample4};
 use crate::sampling::pdf_cosine;
 use crate::scene::camera::camera_ray;
-use crate::scene::compiled::{CompiledScene, KIND_DIELECTRIC, KIND_MIRROR, Material, Uniforms};
+use crate::scene::compiled::{CompiledScene, KIND_DIELECTRIC, KIND_MIRROR, Material, NONE, Uniforms};
 use crate::scene::shapes::{Hit, Ray, Surface, shape_info, spawn_ray, surface_at};
 use glam::{Vec3, Vec4, Vec4Swizzles};
 
@@ -172,8 +172,8 @@ impl<'a> Transport<'a> {
         let mut weight = 1.0;
         if self.direct_light && ray.pdf > 0.0 {
             let light = shape_info(self.scene, hit.shape).light;
-            if let Some(light) = self.scene.lights.get(light as usize) {
-                let pdf = light.pick_probability
+            if light != NONE {
+                let pdf = light_probability(self.scene, ray.origin, light)
                     * pdf_light(self.scene, ray.origin, hit.shape, ray.direction, hit.t);
                 weight = mis_weight(ray.pdf, pdf);
             }
@@ -193,25 +193,27 @@ impl<'a> Transport<'a> {
         key: SampleKey,
     ) -> Option<ShadowItem> {
         let u = sample4(self.sampler, key, dimension_light(bounce_of(ray)));
-        let light = &self.scene.lights[choose_light(self.scene, u.x) as usize];
         // The point that the continued ray will leave from, so that both strategies measure the light from the same place.
         let origin = spawn_ray(surface, normal).origin;
+        let choice = choose_light(self.scene, origin, normal, u.xw());
+        let light = choice.light;
         let towards = sample_light(self.scene, origin, light.shape, u.yz());
-        if towards.pdf <= 0.0 {
+        let pdf = choice.probability * towards.pdf;
+        if pdf <= 0.0 {
             return None;
         }
         let bsdf = bsdf_evaluate(material, normal, -ray.direction, towards.wi);
         if bsdf.value.max_element() <= 0.0 {
             return None;
         }
-        let pdf = light.pick_probability * towards.pdf;
+        let weight = mis_weight(choice.weighing * towards.pdf, bsdf.pdf);
         let emission = self.scene.materials[light.material as usize].emission;
         Some(ShadowItem {
             origin,
             t_max: towards.t * SHADOW_END,
             direction: towards.wi,
             path: ray.path,
-            radiance: bsdf.value * emission * (mis_weight(pdf, bsdf.pdf) / pdf),
+            radiance: bsdf.value * emission * (weight / pdf),
             light_shape: light.shape,
         })
     }
