@@ -20,6 +20,7 @@ mod guiding_renders;
 mod guiding_samplers;
 mod kernels;
 mod lost_samples;
+mod many_lights;
 mod oracles;
 mod placement;
 mod probe;
