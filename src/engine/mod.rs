@@ -26,7 +26,7 @@ pub use error::RenderError;
 pub use options::{EngineChoice, EngineKind, RenderOptions};
 pub use renderer::Renderer;
 pub use show::GuideView;
-pub use stats::{GuideStats, HierarchyStats, RenderStats};
+pub use stats::{GuideStats, HierarchyStats, LightTreeStats, RenderStats};
 pub use strategy::{Pass, Strategy};
 #[doc(hidden)]
 pub use wavefront::recorded::{RecordedLevel, RecordedStage};

@@ -10,8 +10,8 @@ use super::show::guide_layers;
 use super::strategy::plain_strategy;
 use super::wavefront::WavefrontEngine;
 use super::{
-    CancelToken, Engine, EngineChoice, EngineKind, Estimators, GuideStats, HierarchyStats, RenderError,
-    RenderOptions, RenderStats,
+    CancelToken, Engine, EngineChoice, EngineKind, Estimators, GuideStats, HierarchyStats, LightTreeStats,
+    RenderError, RenderOptions, RenderStats,
 };
 use crate::film::{Film, GuideLayers, Image};
 use crate::gpu::device::Gpu;
@@ -177,6 +177,7 @@ impl Renderer {
         RenderStats {
             guide: self.learner().map(GuideStats::new),
             hierarchy: HierarchyStats::new(&self.compiled),
+            light_tree: LightTreeStats::new(&self.compiled),
             ..self.engine.stats()
         }
     }

@@ -29,6 +29,9 @@ pub struct RenderStats {
     /// The hierarchy over the shapes; absent where rays ask all of them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub hierarchy: Option<HierarchyStats>,
+    /// The tree that chooses among lights; absent where they are few, and chosen by power.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub light_tree: Option<LightTreeStats>,
     /// Submissions to the GPU.
     pub submissions: u64,
     /// Levels recorded by the wavefront engine.
@@ -64,6 +67,30 @@ impl HierarchyStats {
             bytes: size_of_val(&bvh.rows[..]),
             depth: bvh.depth,
             build_seconds: bvh.seconds,
+        })
+    }
+}
+
+/// Figures about the tree over the lights.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
+pub struct LightTreeStats {
+    /// Lights in it.
+    pub lights: usize,
+    /// Lights and nodes over them.
+    pub clusters: usize,
+    /// Bytes of all clusters.
+    pub bytes: usize,
+    /// Seconds that it took to build.
+    pub build_seconds: f64,
+}
+
+impl LightTreeStats {
+    pub(super) fn new(scene: &CompiledScene) -> Option<LightTreeStats> {
+        scene.light_tree.as_ref().map(|tree| LightTreeStats {
+            lights: scene.lights.len(),
+            clusters: tree.clusters.len(),
+            bytes: size_of_val(&tree.clusters[..]),
+            build_seconds: tree.seconds,
         })
     }
 }

@@ -23,16 +23,22 @@ fn mean(image: &Image, c: usize) -> (f64, f64) {
     (mean, errors.iter().map(|se| f64::from(se[c]).powi(2)).sum::<f64>().sqrt() / n)
 }
 
-/// z-score of the difference of the means, the largest of the channels.
-fn worst_z(a: &Image, b: &Image) -> f64 {
+/// z-score of the difference of the means of those pixels, the largest of the channels.
+fn worst_z(a: &Image, b: &Image, counts: &[bool]) -> f64 {
+    let only = |image: &Image| {
+        let those = |values: &[[f32; 3]]| values.iter().zip(counts).filter(|v| *v.1).map(|v| *v.0).collect();
+        let standard_error = image.standard_error.as_deref().map(those);
+        Image { rgb: those(&image.rgb), standard_error, ..image.clone() }
+    };
+    let (a, b) = (only(a), only(b));
     let z = |c| {
-        let ((a, error_a), (b, error_b)) = (mean(a, c), mean(b, c));
+        let ((a, error_a), (b, error_b)) = (mean(&a, c), mean(&b, c));
         (a - b).abs() / error_a.hypot(error_b)
     };
     (0..3).map(z).fold(0.0, f64::max)
 }
 
-/// Pixels in which no lamp is seen, not even at an edge: the noise of those is no choice of lights.
+/// Pixels in which no lamp is seen, not even at an edge: the noise of the others is no choice of lights.
 fn dim_pixels(scene: &Scene, options: &RenderOptions) -> Vec<bool> {
     let options = RenderOptions { max_bounces: Some(1), ..options.clone() };
     let lamps = render(scene, Engine::Cpu, &options, 64).image;
@@ -76,15 +82,17 @@ fn many_lights_have_a_fifth_of_the_noise_by_the_tree() {
     }
 }
 
-/// Means of many-lights within 4.5 standard errors of each other in each channel, α = 2e-5 an engine; and an image that is 4 %
+/// Means of many-lights, of pixels in which no lamp is seen, within 4.5 standard errors of each other in each channel, α = 2e-5 an engine; and an image that is 4 %
 /// brighter is not.
 #[test]
 fn many_lights_are_as_bright_by_the_tree_as_by_power() {
     let scene = scene("many-lights");
     let by_power = render(&scene, Engine::Cpu, &by(false, 3, small(48, 36, 72)), 256).image;
+    let dim = dim_pixels(&scene, &small(48, 36, 72));
     for engine in CLASSES {
         let image = render(&scene, engine, &by(true, 3, small(48, 36, 73)), 32).image;
-        let (z, wrong) = (worst_z(&image, &by_power), worst_z(&brightened(&image, 1.04), &by_power));
+        let z = worst_z(&image, &by_power, &dim);
+        let wrong = worst_z(&brightened(&image, 1.04), &by_power, &dim);
         println!("{engine:?}: z = {z:.2}; 4 % brighter {wrong:.2}");
         assert!(z < 4.5 && wrong > 4.5, "{engine:?}: {z}, {wrong}");
     }
@@ -101,17 +109,19 @@ fn schedules_agree_in_every_bit_on_many_lights() {
     }
 }
 
-/// Guided paths end on the same image. 4.5 standard errors as above.
+/// Guided paths end on the same image. 4.5 standard errors as above, which 8 % are not within.
 #[test]
 fn guided_paths_see_many_lights_as_bright() {
     let scene = scene("many-lights");
     let by_power = render(&scene, Engine::Cpu, &by(false, 4, small(32, 24, 75)), 384).image;
+    let dim = dim_pixels(&scene, &small(32, 24, 75));
     for engine in [Engine::Cpu, Engine::Wavefront(Schedule::Fused)] {
         let options = crate::guiding_renders::guided(32, 24, 76, GuideMode::Adaptive, Roulette::Off);
         let image = render(&scene, engine, &by(true, 4, options), 126).image;
-        let z = worst_z(&image, &by_power);
-        println!("{engine:?}: z = {z:.2}");
-        assert!(z < 4.5, "{engine:?}: {z}");
+        let z = worst_z(&image, &by_power, &dim);
+        let wrong = worst_z(&brightened(&image, 1.08), &by_power, &dim);
+        println!("{engine:?}: z = {z:.2}; 8 % brighter {wrong:.2}");
+        assert!(z < 4.5 && wrong > 4.5, "{engine:?}: {z}, {wrong}");
     }
 }
 
@@ -151,7 +161,7 @@ fn a_light_among_many_of_a_hundred_million_times_its_strength_keeps_its_share() 
                 mean / expected[c] - 1.0,
                 error / expected[c]
             );
-            assert!(error < 0.03 * expected[c], "{engine:?}, channel {c}: too few samples");
+            assert!(error < 0.05 * expected[c], "{engine:?}, channel {c}: too few samples");
             let agrees = |mean: f64| (mean - expected[c]).abs() < 4.0 * error + 2e-6 * expected[c];
             assert!(
                 agrees(mean) && !agrees(mean * 1.25),
