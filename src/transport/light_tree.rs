@@ -6,7 +6,7 @@
 //! same: so they are made of [`Importance::anywhere`], and only the choice itself of [`Importance::facing`].
 
 use crate::scene::compiled::{CompiledScene, NONE};
-use crate::scene::light_tree::{COUNT_SHIFT, LIGHT, LightCluster};
+use crate::scene::light_tree::{COUNT_SHIFT, LIGHT, LightCluster, MOST_CLUSTERS};
 use glam::{Vec2, Vec3};
 
 /// Cosines that bounds leave: above 1.5e-3, by which roots of rounded numbers move the cosine of an angle. What is told to face
@@ -21,6 +21,8 @@ const LEAST_IMPORTANCE: f32 = 1e-36;
 const SMALLEST_SQUARE: f32 = 1e-30;
 /// The largest number below 1.
 const BELOW_ONE: f32 = 1.0 - f32::EPSILON / 2.0;
+/// Intervals narrower than this stand for none: no quotient by their width overflows.
+const NARROWEST: f32 = 1e-20;
 /// Distance between the numbers that may be drawn; and from which distance on the tree fills them up from a second one.
 const FINE: f32 = 1.0 / 16_777_216.0;
 const COARSE: f32 = 1.0 / 65_536.0;
@@ -114,7 +116,8 @@ struct Digits {
 /// are left, eight of the second number follow.
 #[inline(always)]
 fn stretched(digits: Digits, low: f32, width: f32) -> Digits {
-    let u = ((digits.u - low) / width).min(BELOW_ONE);
+    let width = width.max(NARROWEST);
+    let u = ((digits.u - low) / width).clamp(0.0, BELOW_ONE);
     let grid = digits.grid / width;
     if grid <= COARSE {
         return Digits { u, grid, spare: digits.spare };
@@ -133,29 +136,32 @@ struct Step {
     total: (f32, f32),
 }
 
-/// The cluster of a node that `digits` choose: each that is met takes the place of those before by its share of what they send
-/// together, which needs no second look (Chao 1982).
+/// The cluster of a node that `digits` choose, where what they send is laid out from 0 to 1.
 #[inline(always)]
 fn step_down(scene: &CompiledScene, origin: Vec3, normal: Vec3, node: u32, digits: &mut Digits) -> Step {
     let (first, count) = node_of(node);
+    let clusters = &clusters(scene)[first as usize..][..count as usize];
     let evenly = digits.u < EVEN_SHARE;
     let (low, width) = if evenly { (0.0, EVEN_SHARE) } else { (EVEN_SHARE, 1.0 - EVEN_SHARE) };
     *digits = stretched(*digits, low, width);
+    let mut weights = [0.0; MOST_CLUSTERS];
     let mut step = Step::default();
-    for i in 0..count {
-        let cluster = &clusters(scene)[(first + i) as usize];
+    for (weight, cluster) in weights.iter_mut().zip(clusters) {
         let Importance { anywhere, facing } = importance(origin, normal, cluster);
         step.total = (step.total.0 + facing, step.total.1 + anywhere);
-        let share = if evenly { 1.0 / (i + 1) as f32 } else { facing / step.total.0 };
-        if digits.u < share {
-            step.inside = cluster.inside;
-            step.taken = (facing, anywhere);
-            *digits = stretched(*digits, 0.0, share);
-        } else {
-            *digits = stretched(*digits, share, 1.0 - share);
-        }
+        *weight = if evenly { 1.0 } else { facing };
     }
-    step
+    let total = if evenly { count as f32 } else { step.total.0 };
+    let aim = digits.u * total;
+    let mut before = 0.0;
+    let mut chosen = 0;
+    while chosen + 1 < clusters.len() && aim >= before + weights[chosen] {
+        before += weights[chosen];
+        chosen += 1;
+    }
+    *digits = stretched(*digits, before / total, weights[chosen] / total);
+    let Importance { anywhere, facing } = importance(origin, normal, &clusters[chosen]);
+    Step { inside: clusters[chosen].inside, taken: (facing, anywhere), ..step }
 }
 
 /// The first cluster of a node, and how many there are.
