@@ -623,7 +623,8 @@ fn buffers_exist_for_what_the_scene_needs_and_nothing_else() {
     let large = CompiledScene::new(&scene("many-lights"));
     let rows = Sphere::ROWS * large.spheres.len() + Quad::ROWS * large.quads.len();
     let nodes = 4 * (large.spheres.len() + large.quads.len() - 1);
-    let rest = 2 * large.materials.len() + 2 * large.lights.len();
+    let clusters = large.light_tree.as_ref().map_or(0, |tree| tree.clusters.len());
+    let rest = 2 * large.materials.len() + 2 * large.lights.len() + 3 * clusters;
     assert_eq!(have["scene_rows"], 16 * (rows + nodes + rest) as u64);
     assert!(!have.contains_key("hot_rows"), "{have:?}");
 
