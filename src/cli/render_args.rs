@@ -89,6 +89,10 @@ struct TransportArgs {
     #[arg(long, value_enum, value_name = "on|off", hide_possible_values = true)]
     direct_light: Option<Switch>,
 
+    /// Where a scene has many lights, choose among them by a tree rather than by power alone [default: on]
+    #[arg(long, value_enum, value_name = "on|off", hide_possible_values = true)]
+    light_tree: Option<Switch>,
+
     /// End faint paths early, without bias: by their throughput, or by what their surroundings have learnt, which is
     /// believed from 64 samples on [default: the scene's]
     #[arg(long, value_enum, value_name = "off|throughput|learnt", hide_possible_values = true)]
@@ -335,6 +339,7 @@ fn render_options(
         first_sample: transport.first_sample,
         max_bounces: transport.max_bounces,
         direct_light: transport.direct_light.map(bool::from),
+        light_tree: transport.light_tree.map(bool::from),
         roulette: transport.roulette.map(|roulette| match roulette {
             RouletteArg::Off => Roulette::Off,
             RouletteArg::Throughput => Roulette::Throughput,

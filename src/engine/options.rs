@@ -54,6 +54,8 @@ pub struct RenderOptions {
     pub adapter: Option<String>,
     /// Next-event estimation combined with BSDF sampling.
     pub direct_light: Option<bool>,
+    /// Whether scenes of many lights choose among them by a tree, as is usual, or by power alone.
+    pub light_tree: Option<bool>,
     /// Russian roulette: off, by throughput from the fourth surface on, or by what was learnt.
     pub roulette: Option<Roulette>,
     /// Survival in roulette is this times what it would be, up to certainty: larger is slower and less noisy. 1 by

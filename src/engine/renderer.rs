@@ -11,7 +11,7 @@ use super::strategy::plain_strategy;
 use super::wavefront::WavefrontEngine;
 use super::{
     CancelToken, Engine, EngineChoice, EngineKind, EnvironmentStats, Estimators, GuideStats, HierarchyStats,
-    RenderError, RenderOptions, RenderStats, SurfaceStats,
+    LightTreeStats, RenderError, RenderOptions, RenderStats, SurfaceStats,
 };
 use crate::film::{Film, GuideLayers, Image};
 use crate::gpu::device::Gpu;
@@ -41,7 +41,10 @@ impl Renderer {
     /// Prepares the scene for the engine that the options ask for, or the best there is.
     pub fn new(scene: &Scene, options: RenderOptions) -> Result<Renderer, RenderError> {
         options.validate(scene)?;
-        let compiled = CompiledScene::new(scene);
+        let mut compiled = CompiledScene::new(scene);
+        if options.light_tree == Some(false) {
+            compiled.light_tree = None;
+        }
         let (width, height) = options.size.unwrap_or((scene.camera.width, scene.camera.height));
         let mut uniforms = compiled.uniforms(&scene.camera, width, height, options.seed);
         let estimators = options.estimators(scene);
@@ -176,6 +179,7 @@ impl Renderer {
             hierarchy: HierarchyStats::new(&self.compiled),
             surfaces: SurfaceStats::new(&self.compiled),
             environment_map: EnvironmentStats::new(&self.compiled),
+            light_tree: LightTreeStats::new(&self.compiled),
             ..self.engine.stats()
         }
     }

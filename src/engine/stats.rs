@@ -35,6 +35,9 @@ pub struct RenderStats {
     /// The environment map; absent without one, or if it is black.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub environment_map: Option<EnvironmentStats>,
+    /// The tree that chooses among lights; absent where they are few, and chosen by power.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub light_tree: Option<LightTreeStats>,
     /// Submissions to the GPU.
     pub submissions: u64,
     /// Levels recorded by the wavefront engine.
@@ -116,6 +119,30 @@ impl SurfaceStats {
             uv_bytes: size_of_val(&surfaces.uvs[..]),
             textures: surfaces.images.len(),
             texture_bytes: size_of_val(&surfaces.texels[..]),
+        })
+    }
+}
+
+/// Figures about the tree over the lights.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
+pub struct LightTreeStats {
+    /// Lights in it.
+    pub lights: usize,
+    /// Lights and nodes over them.
+    pub clusters: usize,
+    /// Bytes of all clusters.
+    pub bytes: usize,
+    /// Seconds that it took to build.
+    pub build_seconds: f64,
+}
+
+impl LightTreeStats {
+    pub(super) fn new(scene: &CompiledScene) -> Option<LightTreeStats> {
+        scene.light_tree.as_ref().map(|tree| LightTreeStats {
+            lights: scene.lights.len(),
+            clusters: tree.clusters.len(),
+            bytes: size_of_val(&tree.clusters[..]),
+            build_seconds: tree.seconds,
         })
     }
 }

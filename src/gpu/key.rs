@@ -41,6 +41,8 @@ pub struct KernelKey {
     pub sphere_lights: bool,
     pub quad_lights: bool,
     pub triangle_lights: bool,
+    /// Lights chosen by a tree over them, for scenes that have many.
+    pub light_tree: bool,
     pub roulette: Roulette,
     /// Places that a path has for its radiance; more than one where paths split.
     pub places: u32,
@@ -97,6 +99,7 @@ impl KernelKey {
             sphere_lights: light(|shape| matches!(shape, ShapeIndex::Sphere(_))),
             quad_lights: light(|shape| matches!(shape, ShapeIndex::Quad(_))),
             triangle_lights: light(|shape| matches!(shape, ShapeIndex::Triangle(_))),
+            light_tree: direct_light && scene.light_tree.is_some(),
             roulette: estimators.roulette,
             places: estimators.places(),
             guide: estimators.learns().then(|| estimators.table_mode()),
@@ -147,6 +150,7 @@ impl KernelKey {
             ("sphere_lights", self.sphere_lights),
             ("quad_lights", self.quad_lights),
             ("triangle_lights", self.triangle_lights),
+            ("light_tree", self.light_tree),
             ("roulette", self.roulette != Roulette::Off),
             ("learnt_roulette", self.roulette == Roulette::Learnt),
             ("splits", self.places > 1),

@@ -8,6 +8,7 @@ use crate::guiding::{GuideUniforms, Trail, Transition};
 use crate::layout::GpuStruct;
 use crate::scene::compiled::{Light, Material, Quad, Sphere, Triangle, Uniforms};
 use crate::scene::environment::{SkyCell, SkyRow};
+use crate::scene::light_tree::LightCluster;
 use crate::scene::surfaces::{MaterialMaps, TextureImage, TriangleNormals, TriangleUvs};
 use crate::transport::items::{HitItem, RayItem, ShadowItem};
 use std::borrow::Cow;
@@ -48,6 +49,7 @@ pub const MODULES: &[(&str, &str)] = modules![
     "guiding/table",
     "transport/guide",
     "transport/light",
+    "transport/light_tree",
     "transport/path",
     "transport/roulette",
     "transport/split",
@@ -102,6 +104,8 @@ fn item_declarations() -> String {
         SkyRow::wgsl_rows(),
         SkyCell::wgsl(),
         SkyCell::wgsl_rows(),
+        LightCluster::wgsl(),
+        LightCluster::wgsl_rows(),
         RayItem::wgsl(),
         RayItem::wgsl_rows(),
         HitItem::wgsl(),

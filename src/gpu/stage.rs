@@ -5,6 +5,7 @@ use super::key::{KIND_NAMES, KernelKey, SmallScene};
 use crate::layout::GpuStruct;
 use crate::scene::bvh::NODE_ROWS;
 use crate::scene::compiled::{KINDS, Light, Material, Quad, Sphere, Triangle};
+use crate::scene::light_tree::LightCluster;
 use crate::scene::rows::{ALIGNED_ROWS, QUAD_HOT_ROWS, SPHERE_HOT_ROWS};
 use crate::scene::surfaces::{MaterialMaps, TextureImage, TriangleNormals, TriangleUvs};
 use std::fmt::Write;
@@ -256,6 +257,7 @@ impl Stage {
             ("TRIANGLE_UVS_ROWS", TriangleUvs::ROWS),
             ("MATERIAL_MAPS_ROWS", MaterialMaps::ROWS),
             ("TEXTURE_IMAGE_ROWS", TextureImage::ROWS),
+            ("CLUSTER_ROWS", LightCluster::ROWS),
         ] {
             define(name, rows as u32);
         }

@@ -2,6 +2,7 @@
 
 use super::bvh::Bvh;
 use super::environment::{Sky, environment_share};
+use super::light_tree::{FEWEST_LIGHTS, LightTree};
 use super::shapes::RELATIVE_OFFSET;
 use super::surfaces::Surfaces;
 use super::triangle::double_area;
@@ -83,6 +84,7 @@ gpu_struct! {
         sky_turn: f32,
         /// Chance that direct light asks the environment map, not a lamp.
         environment_share: f32,
+        first_cluster_row: u32,
     }
     /// What every ray reads comes first; rows.rs says where that ends.
     pub struct Sphere {
@@ -145,9 +147,10 @@ gpu_struct! {
         /// Stay on this row below, go to alias_index from here on.
         threshold: f32,
         alias_index: u32,
+        /// Which cluster of the light tree it is, where there is one.
+        cluster: u32,
         _pad0: u32,
         _pad1: u32,
-        _pad2: u32,
     }
 }
 
@@ -163,6 +166,8 @@ pub struct CompiledScene {
     pub triangles: Vec<Triangle>,
     pub materials: Vec<Material>,
     pub lights: Vec<Light>,
+    /// Where the lights are too many to choose by power alone.
+    pub light_tree: Option<LightTree>,
     /// Radiance from beyond the scene where there is no map of it.
     pub environment: Vec3,
     /// Normals, texture coordinates and textures.
@@ -224,6 +229,7 @@ impl CompiledScene {
         compiled.find_lights();
         let share = environment_share(&compiled);
         compiled.sky.iter_mut().for_each(|sky| sky.share = share);
+        compiled.light_tree = (compiled.lights.len() >= FEWEST_LIGHTS).then(|| LightTree::new(&mut compiled));
         compiled.bvh = (!compiled.is_small()).then(|| Bvh::new(&compiled));
         compiled
     }
@@ -369,6 +375,7 @@ impl CompiledScene {
             first_srgb_row,
             first_sky_row,
             first_sky_cell_row,
+            first_cluster_row,
         ] = rows::first_rows(self);
         let (sky_width, sky_height, sky_turn, environment_share) =
             self.sky.as_ref().map_or((0, 0, 0.0, 0.0), |sky| (sky.width, sky.height, sky.turn, sky.share));
@@ -404,6 +411,7 @@ impl CompiledScene {
             sky_height,
             sky_turn,
             environment_share,
+            first_cluster_row,
             ..Default::default()
         }
     }

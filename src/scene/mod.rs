@@ -63,6 +63,7 @@ pub mod camera;
 mod coincidence;
 pub mod compiled;
 pub mod environment;
+pub mod light_tree;
 mod mesh;
 mod model;
 pub mod rows;

@@ -4,6 +4,7 @@
 
 use super::compiled::{CompiledScene, Light, Material, Quad, Sphere, Triangle};
 use super::environment::{SkyCell, SkyRow};
+use super::light_tree::LightCluster;
 use super::surfaces::{MaterialMaps, Surfaces, TextureImage, TriangleNormals, TriangleUvs};
 use crate::layout::GpuStruct;
 use std::mem::offset_of;
@@ -42,8 +43,9 @@ impl<'a> Part<'a> {
 }
 
 /// The parts in the order in which they lie in the buffer.
-fn parts(scene: &CompiledScene) -> [Part<'_>; 16] {
+fn parts(scene: &CompiledScene) -> [Part<'_>; 17] {
     let Surfaces { normals, uvs, maps, images, texels, srgb, .. } = &scene.surfaces;
+    let clusters = scene.light_tree.as_ref().map_or(&[][..], |tree| &tree.clusters);
     let nodes = scene.bvh.as_ref().map_or(&[][..], |bvh| &bvh.rows);
     let (sky_rows, sky_cells) = scene.sky.as_ref().map_or((&[][..], &[][..]), |sky| (&sky.rows, &sky.cells));
     [
@@ -63,6 +65,7 @@ fn parts(scene: &CompiledScene) -> [Part<'_>; 16] {
         Part::of_rows(srgb),
         Part::new(sky_rows, 0..SkyRow::ROWS),
         Part::new(sky_cells, 0..SkyCell::ROWS),
+        Part::new(clusters, 0..LightCluster::ROWS),
     ]
 }
 
@@ -104,7 +107,7 @@ fn aligned_rows(quad: &Quad, axis: usize) -> [Row; ALIGNED_ROWS] {
 }
 
 /// The number of the first row of each part.
-pub fn first_rows(scene: &CompiledScene) -> [u32; 16] {
+pub fn first_rows(scene: &CompiledScene) -> [u32; 17] {
     let mut next = 0;
     parts(scene).map(|part| {
         let first = next;

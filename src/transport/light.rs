@@ -1,9 +1,10 @@
-//! Direct light: a light chosen by power, a direction towards it, and the density of both.
+//! Direct light: a light chosen by power or by the light tree, a direction towards it, and the density of both.
 //! GPU twin: kernels/transport/light.wesl
 
+use super::light_tree::{choose_in_tree, probability_in_tree};
 use crate::math::to_world;
 use crate::sampling::{alias_row, pdf_cone, sample_cone};
-use crate::scene::compiled::{CompiledScene, ShapeIndex, Triangle};
+use crate::scene::compiled::{CompiledScene, Light, ShapeIndex, Triangle};
 use crate::scene::triangle::{double_area, sample_triangle};
 use glam::{Vec2, Vec3};
 use std::f32::consts::PI;
@@ -18,9 +19,42 @@ pub struct LightSample {
     pub pdf: f32,
 }
 
+/// A light that direct light is to sample.
+#[derive(Clone, Copy, Debug)]
+pub struct LightChoice<'a> {
+    pub light: &'a Light,
+    /// How likely it was.
+    pub probability: f32,
+    /// What stands for that in weights of multiple importance sampling: [`light_probability`].
+    pub weighing: f32,
+}
+
+/// A light for a surface at `origin`. `normal` points to the side from which light may come, 0 if it may come from both; `u` in
+/// [0, 1)². By power where there is no tree.
+#[inline(always)]
+pub fn choose_light(scene: &CompiledScene, origin: Vec3, normal: Vec3, u: Vec2) -> LightChoice<'_> {
+    if scene.light_tree.is_none() {
+        let light = &scene.lights[choose_by_power(scene, u.x) as usize];
+        return LightChoice { light, probability: light.pick_probability, weighing: light.pick_probability };
+    }
+    let choice = choose_in_tree(scene, origin, normal, u);
+    let light = &scene.lights[choice.light as usize];
+    LightChoice { light, probability: choice.probability, weighing: choice.weighing }
+}
+
+/// What weights of multiple importance sampling take for the probability with which [`choose_light`] chooses the light from
+/// `origin`. With a tree, that is its probability where the normal is not known.
+#[inline(always)]
+pub fn light_probability(scene: &CompiledScene, origin: Vec3, light: u32) -> f32 {
+    match scene.light_tree {
+        None => scene.lights[light as usize].pick_probability,
+        Some(_) => probability_in_tree(scene, origin, light),
+    }
+}
+
 /// Walker's alias method: O(1). `pick_probability` counts the values of `u`, multiples of 2⁻²⁴, that choose a light.
 #[inline(always)]
-pub fn choose_light(scene: &CompiledScene, u: f32) -> u32 {
+pub fn choose_by_power(scene: &CompiledScene, u: f32) -> u32 {
     let (i, share) = alias_row(scene.lights.len() as u32, u);
     let light = &scene.lights[i as usize];
     if share >= light.threshold { light.alias_index } else { i }

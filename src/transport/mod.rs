@@ -4,6 +4,7 @@ pub mod estimators;
 pub mod guide;
 pub mod items;
 pub mod light;
+pub mod light_tree;
 pub mod path;
 pub mod roulette;
 pub mod split;

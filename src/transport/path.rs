@@ -3,7 +3,7 @@
 
 use super::guide::{Guidance, GuidePoint};
 use super::items::{RayItem, ShadowItem};
-use super::light::{choose_light, pdf_light, sample_light};
+use super::light::{choose_light, light_probability, pdf_light, sample_light};
 use super::roulette::Roulette;
 use super::split::{SEED_SHIFT, Share, bounce_of, budget_of, copies_of, pack_bounce, share_of};
 use crate::accel::Search;
@@ -22,7 +22,7 @@ use crate::scene::shading::{keeps_side, viewed_normal};
 use crate::scene::shapes::{Hit, Ray, Surface, T_MISS, shape_info, spawn_ray, surface_at, uv_at};
 use crate::scene::sky::{sample_sky, sky_at};
 use crate::scene::texels::{textured, textured_emission};
-use glam::{Vec3, Vec4, Vec4Swizzles};
+use glam::{Vec2, Vec3, Vec4, Vec4Swizzles};
 
 /// Everything a stage function may read: the scene, the numbers of the frame, the choice of estimators.
 #[derive(Clone, Copy, Debug)]
@@ -196,8 +196,8 @@ impl<'a> Transport<'a> {
         let mut weight = 1.0;
         if self.direct_light && ray.pdf > 0.0 {
             let light = shape_info(self.scene, hit.shape).light;
-            if let Some(light) = self.scene.lights.get(light as usize) {
-                let pdf = light.pick_probability
+            if light != NONE {
+                let pdf = light_probability(self.scene, ray.origin, light)
                     * pdf_light(self.scene, ray.origin, hit.shape, ray.direction, hit.t)
                     * (1.0 - self.uniforms.environment_share);
                 weight = mis_weight(ray.pdf, pdf);
@@ -254,23 +254,28 @@ impl<'a> Transport<'a> {
         if u.w < self.uniforms.environment_share {
             return self.sky_light(ray, surface, (normal, facing), material, u);
         }
-        let light = &self.scene.lights[choose_light(self.scene, u.x) as usize];
         // The point that the continued ray will leave from, so that both strategies measure the light from the same place.
         let mut origin = spawn_ray(surface, facing).origin;
+        let share = 1.0 - self.uniforms.environment_share;
+        let draws = Vec2::new(u.x, (u.w - self.uniforms.environment_share) / share);
+        let both_sides = material.kind == KIND_ROUGH_DIELECTRIC;
+        let lit_side = if both_sides { Vec3::ZERO } else { normal };
+        let choice = choose_light(self.scene, origin, lit_side, draws);
+        let light = choice.light;
         let mut towards = sample_light(self.scene, origin, light.shape, u.yz());
-        if material.kind == KIND_ROUGH_DIELECTRIC && towards.wi.dot(facing) < 0.0 {
+        if both_sides && towards.wi.dot(facing) < 0.0 {
             // Through the surface it leaves from its other side.
             origin = spawn_ray(surface, -facing).origin;
             towards = sample_light(self.scene, origin, light.shape, u.yz());
         }
-        if towards.pdf <= 0.0 || !keeps_side(normal, facing, towards.wi) {
+        let pdf = share * choice.probability * towards.pdf;
+        if pdf <= 0.0 || !keeps_side(normal, facing, towards.wi) {
             return None;
         }
         let bsdf = bsdf_evaluate(material, normal, -ray.direction, outside, towards.wi);
         if bsdf.value.max_element() <= 0.0 {
             return None;
         }
-        let pdf = light.pick_probability * towards.pdf * (1.0 - self.uniforms.environment_share);
         let emission = match self.scene.surfaces.textured_lamps {
             false => self.scene.materials[light.material as usize].emission,
             true => {
@@ -278,12 +283,13 @@ impl<'a> Transport<'a> {
                 textured_emission(self.scene, light.material, lit)
             }
         };
+        let weight = mis_weight(share * choice.weighing * towards.pdf, bsdf.pdf);
         Some(ShadowItem {
             origin,
             t_max: towards.t * SHADOW_END,
             direction: towards.wi,
             path: ray.path,
-            radiance: bsdf.value * emission * (mis_weight(pdf, bsdf.pdf) / pdf),
+            radiance: bsdf.value * emission * (weight / pdf),
             light_shape: light.shape,
         })
     }

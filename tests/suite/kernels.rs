@@ -763,7 +763,8 @@ fn buffers_exist_for_what_the_scene_needs_and_nothing_else() {
     let large = CompiledScene::new(&scene("many-lights"));
     let rows = Sphere::ROWS * large.spheres.len() + Quad::ROWS * large.quads.len();
     let nodes = 4 * (large.spheres.len() + large.quads.len() - 1);
-    let rest = 2 * large.materials.len() + 2 * large.lights.len();
+    let clusters = large.light_tree.as_ref().map_or(0, |tree| tree.clusters.len());
+    let rest = 2 * large.materials.len() + 2 * large.lights.len() + 3 * clusters;
     assert_eq!(have["scene_rows"], 16 * (rows + nodes + rest) as u64);
     assert!(!have.contains_key("hot_rows"), "{have:?}");
 
@@ -798,4 +799,20 @@ fn buffers_exist_for_what_the_scene_needs_and_nothing_else() {
     // The fused schedule shades where it intersects.
     let (have, _) = buffers(&scene("cornell-box"), Schedule::Fused, true);
     assert!(!have.contains_key("hits") && !have.contains_key("shadows"), "{have:?}");
+}
+
+/// Functions of kernels/transport/light_tree and what they read.
+#[test]
+fn with_few_lights_nothing_of_the_light_tree_is_linked() {
+    let of_tree = ["choose_in_tree", "probability_in_tree", "importance", "light_cluster_at", "LightCluster"];
+    for name in scene_names().iter().filter(|name| *name != "many-lights") {
+        for (kernel, wgsl) in linked(&scene(name), &usual()) {
+            assert!(of_tree.iter().all(|of| !wgsl.contains(of)), "{name}: {kernel} knows of a light tree");
+        }
+    }
+    // Negative control, and the other way round: what chooses by power is not there where a tree is.
+    let all: BTreeSet<String> =
+        linked(&scene("many-lights"), &usual()).iter().flat_map(|(_, wgsl)| names(wgsl)).collect();
+    assert!(of_tree[..4].iter().all(|name| all.contains(*name)));
+    assert!(!all.contains("choose_by_power"));
 }

@@ -21,6 +21,7 @@ mod guiding_renders;
 mod guiding_samplers;
 mod kernels;
 mod lost_samples;
+mod many_lights;
 mod models;
 mod oracles;
 mod placement;

@@ -9,7 +9,7 @@ use qtracer::scene::compiled::{CompiledScene, Light};
 use qtracer::scene::rows::Row;
 use qtracer::scene::{Material as SceneMaterial, Scene};
 use qtracer::stats::chi2_test;
-use qtracer::transport::light::choose_light;
+use qtracer::transport::light::choose_by_power;
 
 const DRAWABLE: u32 = 1 << 24;
 /// Numbers that one invocation tries.
@@ -42,9 +42,9 @@ fn power(scene: &CompiledScene, light: &Light) -> f64 {
 
 /// How often each of twelve lights is chosen by the numbers from a.x on.
 const COUNT: (&str, &str) = (
-    "import package::transport::light::choose_light;",
+    "import package::transport::light::choose_by_power;",
     "var counts: array<u32, 12>;
-    for (var k = 0u; k < 4096u; k++) { counts[choose_light(f32(a.x + k) / 16777216.0)] += 1u; }
+    for (var k = 0u; k < 4096u; k++) { counts[choose_by_power(f32(a.x + k) / 16777216.0)] += 1u; }
     out0 = vec4<u32>(counts[0], counts[1], counts[2], counts[3]);
     out1 = vec4<u32>(counts[4], counts[5], counts[6], counts[7]);
     out2 = vec4<u32>(counts[8], counts[9], counts[10], counts[11]);",
@@ -53,7 +53,7 @@ const COUNT: (&str, &str) = (
 fn count(world: &World, [[first, ..]]: &[Row; 1]) -> [Row; 3] {
     let mut counts = [0u32; 12];
     for k in *first..first + TRIED {
-        counts[choose_light(&world.scene, k as f32 / DRAWABLE as f32) as usize] += 1;
+        counts[choose_by_power(&world.scene, k as f32 / DRAWABLE as f32) as usize] += 1;
     }
     let (rows, _) = counts.as_chunks();
     [rows[0], rows[1], rows[2]]
@@ -142,13 +142,13 @@ fn probabilities_of_large_tables_count_every_number() {
 fn lights_are_chosen_as_often_as_their_probability_says() {
     const CHOOSE: (&str, &str) = (
         "import package::base::random::{SampleKey, sample4};
-        import package::transport::light::choose_light;",
-        "out0.x = choose_light(sample4(SampleKey(3u, a.w, 41u), 7u).x);",
+        import package::transport::light::choose_by_power;",
+        "out0.x = choose_by_power(sample4(SampleKey(3u, a.w, 41u), 7u).x);",
     );
     let world = World::of(lamps(&[1.0, 5.0, 0.2, 2.0, 20.0]));
     let scene = &world.scene;
     let twins =
-        Twins::new(&world, CHOOSE, |world, [[.., i]]| [[choose_light(&world.scene, draw(*i).x), 0, 0, 0]]);
+        Twins::new(&world, CHOOSE, |world, [[.., i]]| [[choose_by_power(&world.scene, draw(*i).x), 0, 0, 0]]);
     let n = 1 << 19;
     let questions: Vec<_> = (0..n).map(|i| [[0, 0, 0, i]]).collect();
     let share = |p: f64| p * f64::from(n);

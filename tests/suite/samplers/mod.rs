@@ -12,6 +12,7 @@ mod fresnel;
 mod independence;
 mod light_choice;
 mod light_directions;
+mod light_tree;
 mod lights;
 mod materials;
 mod microfacet_albedos;
