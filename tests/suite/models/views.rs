@@ -119,6 +119,7 @@ fn mean_of(film: &qtracer::film::Film) -> [f64; 2] {
 
 /// Within five standard errors (α = 6e-7), and the share that the form of the lamp may differ by.
 fn agrees([mean, error]: [f64; 2], expected: f64, share: f64) {
+    println!("{mean} ± {error} for {expected}");
     let far = (mean - expected).abs();
     assert!(far < 5.0 * error + share * expected, "{mean} ± {error} for {expected}");
     assert!(error < 0.01 * expected, "{error} is too large to tell anything");
