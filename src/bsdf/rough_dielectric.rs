@@ -37,7 +37,7 @@ fn transmission(material: &Material, normal: Vec3, wo: Vec3, wi: Vec3, outside: 
         return BsdfValue::default();
     }
     let alpha = alpha_of(material.roughness);
-    let through = 1.0 - reflected_share(to_o.min(1.0), eta, material.parameter, outside);
+    let through = 1.0 - fresnel(to_o, to_i, eta);
     let density = through * to_o * to_i * ggx_density(normal, middle, alpha) / (length * length);
     BsdfValue {
         value: material.color * (density * ggx_seen_and_lit(cos_o, cos_i, alpha)),

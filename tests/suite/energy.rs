@@ -164,3 +164,21 @@ fn rough_materials_reflect_a_lamp_as_they_do_the_sky() {
         }
     }
 }
+
+/// A coat shines on a black base too, and metal that is black head on is white where light grazes; a lamp of black diffuse does
+/// not.
+#[test]
+fn black_coats_shine() {
+    let black = |material: Material, engine: Engine| {
+        let image = render(&balls(material, false), engine, &options(56), 64).image;
+        // The middle of the left ball, from which a coat sends back 4 % and more.
+        f64::from(image.rgb[12 * 6 + 3][1])
+    };
+    for engine in [Engine::Cpu, Engine::Megakernel] {
+        let coat = black(Material::metallic_roughness([0.0; 3], 0.0, 0.3), engine);
+        assert!((0.03..0.3).contains(&coat), "{engine:?}: {coat}");
+        let metal = black(Material::metal([0.0; 3], 0.3), engine);
+        assert!(metal > 1e-6 && metal < coat, "{engine:?}: {metal}");
+        assert_eq!(black(Material::diffuse([0.0; 3]), engine), 0.0);
+    }
+}

@@ -449,6 +449,8 @@ fn constants_shared_with_the_kernels_are_equal() {
     let split = linked(&scene("bansal-room-1"), &splitting(5));
     let large = linked(&scene("many-lights"), &usual()).into_iter().chain(linked(&scene("mesh"), &usual()));
     let large = large.chain(linked(&scene("surfaces"), &usual()));
+    let rough = ["metal-spheres", "rough-glass"].into_iter().flat_map(|name| linked(&scene(name), &usual()));
+    let large = large.chain(rough);
     let usual = linked(&scene("bansal-room-1"), &usual());
     for (kernel, wgsl) in usual.into_iter().chain(guided).chain(split).chain(large) {
         for (name, value) in constants(&wgsl) {
@@ -763,7 +765,7 @@ fn buffers_exist_for_what_the_scene_needs_and_nothing_else() {
     let large = CompiledScene::new(&scene("many-lights"));
     let rows = Sphere::ROWS * large.spheres.len() + Quad::ROWS * large.quads.len();
     let nodes = 4 * (large.spheres.len() + large.quads.len() - 1);
-    let rest = 2 * large.materials.len() + 2 * large.lights.len();
+    let rest = Material::ROWS * large.materials.len() + 2 * large.lights.len();
     assert_eq!(have["scene_rows"], 16 * (rows + nodes + rest) as u64);
     assert!(!have.contains_key("hot_rows"), "{have:?}");
 

@@ -1,4 +1,4 @@
-//! Independent images: seven scenes against Mitsuba 3, by z-test. tests/references holds block means of its converged
+//! Independent images: nine scenes against Mitsuba 3, by z-test. tests/references holds block means of its converged
 //! images with their standard errors, made by examples/shrink_reference; a small pixel covers exactly one block, so
 //! rendering at the small size estimates the same values. Box filter, 64 levels, no roulette there.
 
@@ -122,6 +122,18 @@ fn surfaces_agree_with_mitsuba() {
     Against { engine, ..Against::plain("surfaces", "surfaces", 512, 31) }.agrees(0.02);
 }
 
+/// Mitsuba's roughconductor, with Schlick's reflectance and the base of glTF's material written beside it.
+#[test]
+fn metal_spheres_agree_with_mitsuba() {
+    Against::plain("metal-spheres", "metal", 1024, 30).agrees(0.02);
+}
+
+/// Mitsuba's roughdielectric, but for the correlation of masking and shadowing: its facets, Fresnel and Jacobians.
+#[test]
+fn rough_glass_agrees_with_mitsuba() {
+    Against::plain("rough-glass", "rough-glass", 1024, 31).agrees(0.02);
+}
+
 /// All light of the caustic is found by chance, so its noise has a long tail.
 #[test]
 fn glass_caustic_agrees_with_mitsuba() {
@@ -143,13 +155,15 @@ fn guides_on_a_gpu_agree_with_mitsuba() {
     assert_eq!(compare(&image, &reference).passes(), Some(false), "Bansal's published rule passes");
 }
 
-/// The five scenes, and the samples at which 2 % more light is seen.
-const SCENES: [(&str, &str, u32); 5] = [
+/// The scenes, and the samples at which 2 % more light is seen.
+const SCENES: [(&str, &str, u32); 7] = [
     ("cornell-box", "cornell", 1024),
     ("bansal-room-1", "seed1", 512),
     ("bansal-room-5", "seed5", 512),
     ("door-ajar", "door", 3072),
     ("glass-caustic", "caustic", 1024),
+    ("metal-spheres", "metal", 1024),
+    ("rough-glass", "rough-glass", 1024),
 ];
 
 /// Every scene on a GPU engine, with this guide.
@@ -161,20 +175,20 @@ fn all_scenes_agree_on(engine: Engine, guide: GuideMode) {
 }
 
 #[test]
-#[ignore = "long: five scenes on each GPU engine; tests/run --long"]
+#[ignore = "long: seven scenes on each GPU engine; tests/run --long"]
 fn every_gpu_engine_agrees_with_mitsuba() {
     GPU_ENGINES.into_iter().for_each(|engine| all_scenes_agree_on(engine, GuideMode::Off));
 }
 
 #[test]
-#[ignore = "long: five scenes on two GPU engines; tests/run --long"]
+#[ignore = "long: seven scenes on two GPU engines; tests/run --long"]
 fn adaptive_guides_on_gpu_engines_agree_with_mitsuba() {
     let engines = [Engine::Megakernel, Engine::Wavefront(Schedule::Fused)];
     engines.into_iter().for_each(|engine| all_scenes_agree_on(engine, GuideMode::Adaptive));
 }
 
 #[test]
-#[ignore = "long: five scenes on two GPU engines; tests/run --long"]
+#[ignore = "long: seven scenes on two GPU engines; tests/run --long"]
 fn octant_guides_on_gpu_engines_agree_with_mitsuba() {
     let engines = [Engine::Megakernel, Engine::Wavefront(Schedule::Streamed)];
     engines.into_iter().for_each(|engine| all_scenes_agree_on(engine, GuideMode::Octant));
