@@ -172,7 +172,7 @@ impl Surfaces {
                 let mut last = [0; 16];
                 last[..rest.len()].copy_from_slice(rest);
                 let last = (!rest.is_empty()).then_some(&last);
-                self.texels.extend(whole.iter().chain(last).map(|bytes| texel_row(bytes)));
+                self.texels.extend(whole.iter().chain(last).map(texel_row));
             }
         }
     }

@@ -281,7 +281,10 @@ impl<'a> Transport<'a> {
     /// The ray with which a path goes on in that direction, with these places; None if nothing can come of it.
     fn go_on(&self, at: &Departure, scattered: &BsdfSample, survival: f32, own: Share) -> Option<RayItem> {
         let carried = at.ray.throughput * scattered.weight;
-        if carried.max_element() <= LEAST_THROUGHPUT || !keeps_side(at.normal, at.facing(), scattered.wi) {
+        if carried.max_element() <= LEAST_THROUGHPUT {
+            return None;
+        }
+        if !keeps_side(at.normal, at.facing(), scattered.wi) {
             return None;
         }
         let next = spawn_ray(at.surface, scattered.wi);

@@ -104,8 +104,8 @@ fn normals_and_coordinates_are_those_between_the_corners() {
     assert!((all[0].normal - data.normals[0].normalize()).length() > 1e-2);
 }
 
-/// Slivers put a point that is off by a rounding elsewhere in the image.
-const NEAR_UV: f64 = 2e-3;
+/// A triangle of size 4 with coordinates up to 4: a few dozen roundings of a position are that much.
+const NEAR_UV: f64 = 6e-5;
 
 /// A unit vector within `angle` radians of `axis`.
 fn near(numbers: &mut Numbers, axis: DVec3, angle: f64) -> DVec3 {
@@ -189,33 +189,39 @@ fn kernels_bend_normals_as_the_cpu_does() {
     }
     println!("worst difference of bent normals between the twins: {worst:e}");
     // Where a viewer grazes, a rounding of the direction is worth more of the normal.
-    assert!(worst < if computes_to_the_letter(&gpu) { 1e-6 } else { 1e-3 }, "{worst:e}");
+    assert!(worst < if computes_to_the_letter(&gpu) { 1e-5 } else { 1e-3 }, "{worst:e}");
 }
 
-/// A viewer who moves by a little sees a normal that moves by little, wherever bending begins.
+/// A viewer who moves by a little sees a normal that moves by little, wherever bending begins. Where both directions graze,
+/// the normal of the mirror between them moves by up to a hundred times as much, so steps are small.
 #[test]
 fn bent_normals_are_continuous() {
-    let mut numbers = Numbers(47);
-    let mut steepest = 0f64;
-    for _ in 0..40 {
-        let facing = numbers.direction();
-        let shading = near(&mut numbers, facing, 1.5).as_vec3();
-        let d = numbers.direction();
-        let aside = (d - facing * d.dot(facing)).normalize();
-        let seen_at = |angle: f64| {
-            let wo = (facing * angle.cos() + aside * angle.sin()).as_vec3();
-            seen(&[row(shading, 0), row(facing.as_vec3(), 0), row(wo, 0)], KIND_MIRROR)
-        };
-        // From 89.4° on one side to 89.4° on the other.
-        let step = 2.0 * 1.56 / 4000.0;
-        for i in 0..4000 {
-            let angle = -1.56 + step * f64::from(i);
-            let moved = seen_at(angle).distance(seen_at(angle + step));
-            steepest = steepest.max(f64::from(moved) / step);
+    const STEPS: i32 = 64_000;
+    // From 89.4° on one side to 89.4° on the other.
+    let step = 2.0 * 1.56 / f64::from(STEPS);
+    let largest_jump = |seen_from: &dyn Fn([Vec3; 3]) -> Vec3| {
+        let mut numbers = Numbers(47);
+        let mut largest = 0f32;
+        for _ in 0..40 {
+            let facing = numbers.direction();
+            let shading = near(&mut numbers, facing, 1.5).as_vec3();
+            let d = numbers.direction();
+            let aside = (d - facing * d.dot(facing)).normalize();
+            let at = |i: i32| {
+                let angle = -1.56 + step * f64::from(i);
+                let wo = (facing * angle.cos() + aside * angle.sin()).as_vec3();
+                seen_from([shading, facing.as_vec3(), wo])
+            };
+            largest = (0..STEPS).fold(largest, |largest, i| largest.max(at(i).distance(at(i + 1))));
         }
-    }
-    println!("a viewer's step moves the normal by {steepest:.2} of it at most");
-    assert!(steepest < 3.0, "{steepest}");
+        f64::from(largest)
+    };
+    let bent = largest_jump(&|view| seen(&view.map(|v| row(v, 0)), KIND_MIRROR));
+    println!("a step of the viewer moves the normal by {:.1} times as much at most", bent / step);
+    assert!(bent < 200.0 * step, "{bent:e} in a step of {step:e}");
+    // Negative control: the shape's normal where the shading normal is seen from behind.
+    let swapped = largest_jump(&|[shading, facing, wo]| if shading.dot(wo) > 0.0 { shading } else { facing });
+    assert!(swapped > 0.1, "{swapped}");
 }
 
 /// Red along growing u, green along falling v, blue outwards, whichever way the image lies: turned, mirrored, or on a quad.
