@@ -54,7 +54,7 @@ pub enum SceneWarning {
     },
     /// Something in a file of a model that was repaired, left out or chosen.
     InFile {
-        /// Its name.
+        /// Its name; empty where it is itself the scene.
         file: String,
         /// Where in it, what was done, and the remedy.
         problem: String,
@@ -100,6 +100,7 @@ impl fmt::Display for SceneWarning {
                 let more = if *others > 0 { format!(" (and {others} more)") } else { String::new() };
                 write!(f, "{mesh}{more}: {}; clean the mesh to be rid of this", repairs_made(repairs))
             }
+            Self::InFile { file, problem } if file.is_empty() => f.write_str(problem),
             Self::InFile { file, problem } => write!(f, "{file}: {problem}"),
             Self::NegativeRadiance { texels } => write!(
                 f,

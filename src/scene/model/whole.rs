@@ -24,13 +24,12 @@ const SKY: f64 = 0.5;
 pub(in crate::scene) fn load(path: &Path, camera: Option<&str>) -> Result<Scene, SceneError> {
     let refuse = |problem| SceneError::File { path: path.to_owned(), problem };
     let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let scene = Model::load(path).and_then(|model| whole(model, name, &file, camera)).map_err(refuse)?;
+    let scene = Model::load(path).and_then(|model| whole(model, name, camera)).map_err(refuse)?;
     scene.validate().map_err(|error| error.in_file(path))?;
     Ok(scene)
 }
 
-fn whole(mut model: Model, name: String, file: &str, camera: Option<&str>) -> Result<Scene, String> {
+fn whole(mut model: Model, name: String, camera: Option<&str>) -> Result<Scene, String> {
     let mut shapes = model.place(&Placement::default())?;
     let (middle, diagonal) = extent(&shapes)?;
     let camera = chosen_camera(&mut model, camera, middle, diagonal)?;
@@ -45,7 +44,7 @@ fn whole(mut model: Model, name: String, file: &str, camera: Option<&str>) -> Re
         camera,
         environment: if lit { DVec3::ZERO } else { DVec3::splat(SKY) },
         environment_map: None,
-        file_warnings: model.findings.warnings(file),
+        file_warnings: model.findings.warnings(""),
         materials: model.materials,
         textures: model.textures,
         shapes,

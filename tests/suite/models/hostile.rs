@@ -324,29 +324,63 @@ const ODD: &[&str] = &[
     "5126",
 ];
 
+/// Where bytes change, and to what.
+fn flips() -> impl Strategy<Value = Vec<(prop::sample::Index, u8)>> {
+    prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6)
+}
+
+fn survives_flips(flips: Vec<(prop::sample::Index, u8)>) {
+    let mut bytes = rich().glb();
+    for (at, value) in flips {
+        let at = at.index(bytes.len());
+        bytes[at] = value;
+    }
+    survives(&bytes);
+}
+
+/// Where values change, and to which odd one.
+fn changes() -> impl Strategy<Value = Vec<(prop::sample::Index, usize)>> {
+    prop::collection::vec((any::<prop::sample::Index>(), 0..ODD.len()), 1..4)
+}
+
+fn survives_changes(changes: Vec<(prop::sample::Index, usize)>) {
+    let mut file = rich();
+    file.json["buffers"] = json!([{ "byteLength": file.binary.len() }]);
+    for (at, odd) in changes {
+        let mut places = Vec::new();
+        leaves(&file.json, String::new(), &mut places);
+        let odd: Value = serde_json::from_str(ODD[odd]).unwrap();
+        *file.json.pointer_mut(&places[at.index(places.len())]).unwrap() = odd;
+    }
+    survives(&file.glb());
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 400, failure_persistence: None, ..Default::default() })]
 
     #[test]
-    fn no_flipped_bytes_panic(flips in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6)) {
-        let mut bytes = rich().glb();
-        for (at, value) in flips {
-            let at = at.index(bytes.len());
-            bytes[at] = value;
-        }
-        survives(&bytes);
+    fn no_flipped_bytes_panic(flips in flips()) {
+        survives_flips(flips);
     }
 
     #[test]
-    fn no_odd_value_panics(changes in prop::collection::vec((any::<prop::sample::Index>(), 0..ODD.len()), 1..4)) {
-        let mut file = rich();
-        file.json["buffers"] = json!([{ "byteLength": file.binary.len() }]);
-        for (at, odd) in changes {
-            let mut places = Vec::new();
-            leaves(&file.json, String::new(), &mut places);
-            let odd: Value = serde_json::from_str(ODD[odd]).unwrap();
-            *file.json.pointer_mut(&places[at.index(places.len())]).unwrap() = odd;
-        }
-        survives(&file.glb());
+    fn no_odd_value_panics(changes in changes()) {
+        survives_changes(changes);
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 200_000, failure_persistence: None, ..Default::default() })]
+
+    #[test]
+    #[ignore = "long: minutes of damaged models"]
+    fn no_flipped_bytes_panic_for_long(flips in flips()) {
+        survives_flips(flips);
+    }
+
+    #[test]
+    #[ignore = "long: minutes of damaged models"]
+    fn no_odd_value_panics_for_long(changes in changes()) {
+        survives_changes(changes);
     }
 }

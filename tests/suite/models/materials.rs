@@ -41,8 +41,9 @@ fn the_model_is_gltfs_own_with_its_usual_values() {
     let expected = MaterialKind::MetallicRoughness { color, metallic: 0.125, roughness: 0.375 };
     assert_eq!(material(given).0.kind, expected);
     let usual = MaterialKind::MetallicRoughness { color: DVec3::ONE, metallic: 1.0, roughness: 1.0 };
-    let (found, scene) = material(json!({}));
-    assert_eq!((found.kind, scene.materials[1].kind), (usual, usual));
+    let mut none = Gltf::cube();
+    none.stand(json!({ "mesh": 0 }));
+    assert_eq!((material(json!({})).0.kind, none.scene().materials[0].kind), (usual, usual));
 }
 
 #[test]
@@ -93,7 +94,7 @@ fn names_that_are_the_same_are_told_apart() {
     file.add("materials", json!({ "name": "a" }));
     file.add("materials", json!({}));
     let names: Vec<String> = file.scene().materials.iter().map(|material| material.name.clone()).collect();
-    assert_eq!(names, ["a", "a (2)", "material 2", "default material"]);
+    assert_eq!(names, ["a", "a (2)", "material 2"]);
 }
 
 #[test]

@@ -188,7 +188,7 @@ fn instances_without_area_are_left_out_and_told_of_once() {
     let scene = file.scene();
     assert_eq!(scene.shapes.len(), 1);
     let told: Vec<String> = warnings(&scene).into_iter().filter(|text| text.contains("no area")).collect();
-    let expected = "model.glb: meshes[0], primitives[0] and 499 more: has no area where it stands, so it is left out; give it \
+    let expected = "meshes[0], primitives[0] and 499 more: has no area where it stands, so it is left out; give it \
                     a scale above 0";
     assert_eq!(told, [expected]);
     // Flat, but not gone.

@@ -13,14 +13,14 @@ use crate::scene::error::quoted;
 use crate::scene::model::findings::Findings;
 use crate::scene::{Material, MaterialKind, MaterialTextures};
 
-/// The materials in the order of the file, and behind them the one of primitives that have none; with names that differ.
+/// The materials in the order of the file, with names that differ.
 pub(super) fn read(
     given: &[Given],
     images: &mut Images<'_>,
     findings: &mut Findings,
 ) -> Result<Vec<Material>, String> {
     let mut names = HashSet::new();
-    let mut materials: Vec<Material> = Vec::with_capacity(given.len() + 1);
+    let mut materials: Vec<Material> = Vec::with_capacity(given.len());
     for (number, given) in given.iter().enumerate() {
         let name = given
             .name
@@ -38,10 +38,15 @@ pub(super) fn read(
         materials.push(textured(given, material, images, &place, findings)?);
         tell_of_rest(given, &place, findings);
     }
-    let (name, kind) =
-        (new_name("default material".to_owned(), &mut names), kind(&Given::default(), "", findings));
-    materials.push(Material { name, kind, emission: DVec3::ZERO, textures: MaterialTextures::default() });
     Ok(materials)
+}
+
+/// The material of primitives that have none, named as no other is.
+pub(super) fn usual(others: &[Material]) -> Material {
+    let mut names = others.iter().map(|material| material.name.clone()).collect();
+    let name = new_name("default material".to_owned(), &mut names);
+    let kind = kind(&Given::default(), "", &mut Findings::default());
+    Material { name, kind, emission: DVec3::ZERO, textures: MaterialTextures::default() }
 }
 
 /// The material with those of its textures that it has a use for.

@@ -33,6 +33,9 @@ pub(super) fn read(bytes: &[u8], folder: Option<&Path>) -> Result<Model, String>
     let buffers = buffers::read(&root, chunk, folder)?;
     let mut images = Images::new(&root, &buffers, folder);
     model.materials = material::read(&root.materials, &mut images, &mut model.findings)?;
+    if root.meshes.iter().flat_map(|mesh| &mesh.primitives).any(|primitive| primitive.material.is_none()) {
+        model.materials.push(material::usual(&model.materials));
+    }
     model.textures = images.all;
     let placed = nodes::walk(&root, &mut model.findings)?;
     surfaces(&mut model, &root, &buffers, &placed)?;
