@@ -5,7 +5,7 @@
 //! The samples of a block, those of all its pixels, are kept beside it.
 //!
 //! `cargo run --release --example shrink_reference -- IMAGE.exr IMAGE.se.exr SAMPLES SIDE OUTPUT.exr`, where SAMPLES is
-//! how many samples a pixel of the image had and SIDE the side of a block. For tests/references: cornell, door and
+//! how many samples a pixel of the image had and SIDE the side of a block. For tests/references: cornell, door,
 //! caustic and sky 32768 8, mesh 16384 8, seed1 and seed5 8192 5.
 
 use qtracer::Image;
