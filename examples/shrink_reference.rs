@@ -5,8 +5,8 @@
 //! The samples of a block, those of all its pixels, are kept beside it.
 //!
 //! `cargo run --release --example shrink_reference -- IMAGE.exr IMAGE.se.exr SAMPLES SIDE OUTPUT.exr`, where SAMPLES is
-//! how many samples a pixel of the image had and SIDE the side of a block. For tests/references: cornell 65536 8, door
-//! and mesh 32768 8, caustic 524288 8, seed1 32768 5, seed5 8192 5.
+//! how many samples a pixel of the image had and SIDE the side of a block. For tests/references: cornell 65536 8, door,
+//! mesh and sky 32768 8, caustic 524288 8, seed1 32768 5, seed5 8192 5.
 
 use qtracer::Image;
 use qtracer::film::{WriteOptions, read_image, write_image};

@@ -57,7 +57,7 @@ pub fn angle_of(y: f32, x: f32) -> f32 {
     let s = t * t;
     let tail = -0.075_289_64 + s * (0.042_909_614 + s * (-0.016_165_737 + s * 0.002_866_225_7));
     let share =
-        1.0 + s * (-0.333_331_45 + s * (0.199_935_51 + s * (-0.142_088_99 + s * (0.106_562_64 + s * tail))));
+        1.0 + s * (-0.333_331_45 + s * (0.199_935_51 + s * (-0.142_089 + s * (0.106_562_64 + s * tail))));
     let acute = if across > along { 0.5 * PI - t * share } else { t * share };
     let angle = if x < 0.0 { PI - acute } else { acute };
     if y < 0.0 { -angle } else { angle }

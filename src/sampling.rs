@@ -114,18 +114,18 @@ impl AliasTable {
     /// entries are really drawn, so that what is sampled is what is evaluated: by weight but for rounding, and for entries
     /// lighter than 1/4096 of the average.
     pub fn new(weights: &[f64]) -> AliasTable {
-        let mut table = AliasTable { rows: split_among_rows(weights) };
-        table.count_draws();
-        table
+        AliasTable::rounded(weights, |threshold| threshold)
     }
 
     /// The same with thresholds of so many bits, and below 1.
     pub fn coarse(weights: &[f64], threshold_bits: u32) -> AliasTable {
         let levels = (1u32 << threshold_bits) as f32;
+        AliasTable::rounded(weights, |threshold| (threshold * levels).round().min(levels - 1.0) / levels)
+    }
+
+    fn rounded(weights: &[f64], round: impl Fn(f32) -> f32) -> AliasTable {
         let mut table = AliasTable { rows: split_among_rows(weights) };
-        for row in &mut table.rows {
-            row.threshold = (row.threshold * levels).round().min(levels - 1.0) / levels;
-        }
+        table.rows.iter_mut().for_each(|row| row.threshold = round(row.threshold));
         table.count_draws();
         table
     }

@@ -97,7 +97,7 @@ fn camera(fields: &Fields<'_>) -> Result<Camera, Fault> {
 /// A radiance, or a map and what it is multiplied by.
 fn environment(fields: &Fields<'_>, folder: Option<&Path>) -> Result<(DVec3, Option<EnvironmentMap>), Fault> {
     let Some(file) = fields.get::<String>("map")? else {
-        for key in ["scale", "rotate_y_deg"].into_iter().filter(|key| fields.node(key).is_some()) {
+        if let Some(key) = ["scale", "rotate_y_deg"].into_iter().find(|key| fields.node(key).is_some()) {
             return Err(fields.broken(format!("{key} needs a map; add map = \"sky.hdr\" or remove it")));
         }
         fields.only(&["radiance", "map", "scale", "rotate_y_deg"])?;

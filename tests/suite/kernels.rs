@@ -144,6 +144,31 @@ fn every_stage_links_and_validates_for_every_scene_with_meshes() {
     assert!(lights.iter().all(|flag| flags.contains(flag)), "{flags:?}");
 }
 
+/// What kernels hold where there is an environment map, and where direct light asks it or lamps.
+#[test]
+fn without_a_map_nothing_of_it_is_linked() {
+    let all = |scene: &Scene, estimators: &Estimators| -> BTreeSet<String> {
+        linked(scene, estimators).iter().flat_map(|(_, wgsl)| names(wgsl)).collect()
+    };
+    let map = ["sky_at", "sky_patch", "unpack_radiance", "angle_of"];
+    let sampled = ["sample_sky", "choose_patch", "sky_light", "sample_linear", "sky_row_at"];
+    let lamps = ["choose_light", "sample_light", "pdf_light", "light_at"];
+    for name in ["cornell-box", "furnace-open-half", "mesh"] {
+        let names = all(&scene(name), &usual());
+        assert!(map.iter().chain(&sampled).all(|foreign| !names.contains(*foreign)), "{name}: {names:?}");
+    }
+    // Negative controls: with a map it is there, what chooses directions only with direct light, and lamps only where there
+    // are some.
+    let (open, interior) = (all(&scene("open-sky"), &usual()), all(&scene("interior"), &usual()));
+    for names in [&open, &interior] {
+        assert!(map.iter().chain(&sampled).all(|own| names.contains(*own)), "{names:?}");
+    }
+    assert!(lamps.iter().all(|lamp| open.contains(*lamp) && !interior.contains(*lamp)), "{interior:?}");
+    let by_chance = all(&scene("open-sky"), &Estimators { direct_light: false, ..usual() });
+    assert!(map.iter().all(|own| by_chance.contains(*own)), "{by_chance:?}");
+    assert!(sampled.iter().chain(&lamps).all(|own| !by_chance.contains(*own)), "{by_chance:?}");
+}
+
 /// What kernels hold where there are triangles, and where these shine.
 #[test]
 fn without_meshes_nothing_of_triangles_is_linked() {

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::EnvironmentMap;
 use crate::gpu_struct;
-use crate::sampling::AliasTable;
+use crate::sampling::{AliasRow, AliasTable};
 
 gpu_struct! {
     /// A row of patches in the alias table of rows.
@@ -59,67 +59,88 @@ pub struct Sky {
 impl Sky {
     /// None if the map is black.
     pub fn new(map: &EnvironmentMap, tint: DVec3) -> Option<Sky> {
-        let (width, height) = (map.width as usize, map.height as usize);
         let tinted = |texel: &[f32; 3]| (Vec3::from(*texel).as_dvec3() * tint).as_vec3().to_array();
         let packed: Vec<[u32; 2]> = map.texels.iter().map(|texel| pack_radiance(tinted(texel))).collect();
-        let sums: Vec<f64> = packed.iter().map(|&p| unpack_radiance(p).as_dvec3().element_sum()).collect();
-        let texel = |column: usize, row: usize| row.min(height - 1) * width + column % width;
-        // Means of four corners, as sums: linear interpolation has the same.
-        let patch = |column: usize, row: usize| {
-            let above = row.saturating_sub(1);
-            let at = |column| sums[texel(column, above)] + sums[texel(column, row)];
-            0.25 * (at(column) + at(column + 1))
-        };
-        let solid_angles: Vec<f64> = (0..=height).map(|row| patch_solid_angle(row, width, height)).collect();
-        let row_sums: Vec<f64> = (0..=height)
-            .into_par_iter()
-            .map(|row| (0..width).map(|column| patch(column, row)).sum::<f64>() * solid_angles[row])
-            .collect();
-        let irradiance: f64 = row_sums.iter().sum();
+        let brightest = packed.iter().fold(Vec3::ZERO, |most, &p| most.max(unpack_radiance(p)));
+        let patches = Patches::new(map.width as usize, map.height as usize, packed);
+        let numbers = (0..=patches.height).into_par_iter();
+        let powers: Vec<f64> = numbers.clone().map(|row| patches.power(row)).collect();
+        let irradiance: f64 = powers.iter().sum();
         if irradiance <= 0.0 {
             return None;
         }
-        let least = NEGLIGIBLE * irradiance / (width * (height + 1)) as f64;
-        let rows = AliasTable::new(&row_sums);
-        let cells = (0..=height).into_par_iter().flat_map_iter(|row| {
-            let weigh = |column| Some(patch(column, row)).filter(|w| w * solid_angles[row] > least);
-            let weights: Vec<f64> = (0..width).map(|column| weigh(column).unwrap_or(0.0)).collect();
-            let columns = AliasTable::coarse(&weights, THRESHOLD_BITS);
-            let area = patch_area(row, width, height);
-            let row_probability = f64::from(rows.rows[row].probability);
-            let (packed, texel) = (&packed, &texel);
-            columns.rows.into_iter().enumerate().map(move |(column, choice)| {
-                let [radiance_low, radiance_high] = packed[texel(column, row)];
-                let probability = row_probability * f64::from(choice.probability);
-                let density =
-                    if weights[column] > 0.0 { probability / (area * weights[column]) } else { 0.0 };
-                let levels = 1u32 << THRESHOLD_BITS;
-                let threshold = ((choice.threshold * levels as f32) as u32).min(levels - 1);
-                let choice = threshold | choice.alias << THRESHOLD_BITS;
-                SkyCell { radiance_low, radiance_high, choice, density: density as f32 }
-            })
-        });
-        let cells = cells.collect();
-        let rows = rows.rows.iter().map(|row| SkyRow {
-            threshold: row.threshold,
-            alias_index: row.alias,
-            ..Default::default()
-        });
+        let least = NEGLIGIBLE * irradiance / (patches.width * powers.len()) as f64;
+        let table = AliasTable::new(&powers).rows;
+        let cells = numbers.flat_map_iter(|row| patches.cells(row, table[row].probability, least)).collect();
+        let row =
+            |row: AliasRow| SkyRow { threshold: row.threshold, alias_index: row.alias, ..Default::default() };
         Some(Sky {
             width: map.width,
             height: map.height,
             turn: (map.rotate_y_deg / 360.0).rem_euclid(1.0) as f32,
             share: 0.0,
-            rows: rows.collect(),
+            rows: table.into_iter().map(row).collect(),
             cells,
             irradiance,
-            brightest: packed.iter().fold(Vec3::ZERO, |most, &p| most.max(unpack_radiance(p))),
+            brightest,
         })
     }
 
     /// Bytes on a GPU.
     pub fn bytes(&self) -> usize {
         size_of_val(&self.rows[..]) + size_of_val(&self.cells[..])
+    }
+}
+
+/// The patches between texels, row by row.
+struct Patches {
+    width: usize,
+    height: usize,
+    packed: Vec<[u32; 2]>,
+    /// R + G + B of each texel as packed.
+    sums: Vec<f64>,
+}
+
+impl Patches {
+    fn new(width: usize, height: usize, packed: Vec<[u32; 2]>) -> Patches {
+        let sums = packed.iter().map(|&p| unpack_radiance(p).as_dvec3().element_sum()).collect();
+        Patches { width, height, packed, sums }
+    }
+
+    /// The number of a texel; columns go around, the last row comes twice.
+    fn texel(&self, column: usize, row: usize) -> usize {
+        row.min(self.height - 1) * self.width + column % self.width
+    }
+
+    /// The mean of a patch is that of its four corners.
+    fn mean(&self, column: usize, row: usize) -> f64 {
+        let above = row.saturating_sub(1);
+        let at = |column| self.sums[self.texel(column, above)] + self.sums[self.texel(column, row)];
+        0.25 * (at(column) + at(column + 1))
+    }
+
+    /// What a row sends, all channels together.
+    fn power(&self, row: usize) -> f64 {
+        let means: f64 = (0..self.width).map(|column| self.mean(column, row)).sum();
+        means * patch_solid_angle(row, self.width, self.height)
+    }
+
+    /// The cells of a row that is drawn with that probability, without patches that send less than `least`.
+    fn cells(&self, row: usize, row_probability: f32, least: f64) -> Vec<SkyCell> {
+        let solid_angle = patch_solid_angle(row, self.width, self.height);
+        let area = patch_area(row, self.width, self.height);
+        let weigh = |column| Some(self.mean(column, row)).filter(|mean| mean * solid_angle > least);
+        let weights: Vec<f64> = (0..self.width).map(|column| weigh(column).unwrap_or(0.0)).collect();
+        let levels = 1u32 << THRESHOLD_BITS;
+        let cell = |(column, choice): (usize, AliasRow)| {
+            let [radiance_low, radiance_high] = self.packed[self.texel(column, row)];
+            let probability = f64::from(row_probability) * f64::from(choice.probability);
+            let density = if weights[column] > 0.0 { probability / (area * weights[column]) } else { 0.0 };
+            let threshold = ((choice.threshold * levels as f32) as u32).min(levels - 1);
+            let choice = threshold | choice.alias << THRESHOLD_BITS;
+            SkyCell { radiance_low, radiance_high, choice, density: density as f32 }
+        };
+        AliasTable::coarse(&weights, THRESHOLD_BITS).rows.into_iter().enumerate().map(cell).collect()
     }
 }
 

@@ -241,7 +241,7 @@ fn directions_to_maps_follow_their_density() {
             let sum: f64 = cells.iter().sum();
             cells.into_iter().map(|cell| cell / sum).collect::<Vec<f64>>()
         };
-        let side = |i: usize| if i % 2 == 0 { 1.04 } else { 0.96 };
+        let side = |i: usize| if i.is_multiple_of(2) { 1.04 } else { 0.96 };
         let askew = normalised(integrals.iter().enumerate().map(|(i, p)| p * side(i)).collect());
         let flat = normalised(grid.integrate(|d| f64::from(sky_at(sky, d).pdf) * f64::from(d.x.hypot(d.z))));
         let (imports, body) = (format!("{DRAW_IMPORTS}{}", SAMPLE.0), format!("{DRAW}{}", SAMPLE.1));
