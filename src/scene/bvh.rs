@@ -21,6 +21,10 @@ const FAR_SIDE: f32 = 1.0000005;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Bvh {
     pub rows: Vec<Row>,
+    /// Experiment: what the GPU walks, if not `rows`.
+    pub gpu_rows: Vec<Row>,
+    /// Experiment: entries of the GPU's stack.
+    pub gpu_depth: u32,
     /// Nodes that a walk may have to come back to at once, at most.
     pub depth: u32,
     /// How long it took to build.

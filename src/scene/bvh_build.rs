@@ -59,6 +59,17 @@ impl Bvh {
     pub fn new(scene: &CompiledScene) -> Bvh {
         let start = Instant::now();
         let shapes = all_bounds(scene);
+        let tree = Bvh::tree(scene);
+        let mut bvh = Bvh::flattened(&tree);
+        if bvh.depth > MOST_DEPTH {
+            bvh = Bvh::balanced(&shapes);
+        }
+        bvh.seconds = start.elapsed().as_secs_f64();
+        bvh
+    }
+
+    pub(super) fn tree(scene: &CompiledScene) -> Bvh2 {
+        let shapes = all_bounds(scene);
         let parameters = BvhBuildParams {
             pre_split: false,
             ploc_search_distance: PlocSearchDistance::Medium,
@@ -70,17 +81,11 @@ impl Bvh {
             max_prims_per_leaf: 1,
             collapse_traversal_cost: 1.0,
         };
-        let tree = build_bvh2(&shapes, parameters, &mut Default::default());
-        let mut bvh = Bvh::flattened(&tree);
-        if bvh.depth > MOST_DEPTH {
-            bvh = Bvh::balanced(&shapes);
-        }
-        bvh.seconds = start.elapsed().as_secs_f64();
-        bvh
+        build_bvh2(&shapes, parameters, &mut Default::default())
     }
 
     /// The nodes of a tree, each in front of all below it.
-    fn flattened(tree: &Bvh2) -> Bvh {
+    pub(super) fn flattened(tree: &Bvh2) -> Bvh {
         let root = &tree.nodes[0];
         if root.prim_count > 0 {
             let leaf = (LEAF | tree.primitive_indices[root.first_index as usize], root.aabb);

@@ -46,6 +46,7 @@
 mod boxes;
 pub mod bvh;
 mod bvh_build;
+pub mod wide;
 pub mod camera;
 mod coincidence;
 pub mod compiled;
