@@ -1,7 +1,6 @@
 //! What a render built and spent.
 
 use crate::guiding::Learner;
-use crate::scene::bvh::NODE_ROWS;
 use crate::scene::compiled::CompiledScene;
 use std::collections::BTreeMap;
 
@@ -45,11 +44,11 @@ pub struct HierarchyStats {
     pub shapes: usize,
     /// Of these, triangles of meshes.
     pub triangles: usize,
-    /// Nodes, of two boxes each.
+    /// Nodes, of up to four boxes each.
     pub nodes: usize,
     /// Bytes of the nodes.
     pub bytes: usize,
-    /// Nodes from the top to the deepest leaf.
+    /// Children that a walk may have to come back to at once, at most.
     pub depth: u32,
     /// Seconds that it took to build.
     pub build_seconds: f64,
@@ -60,7 +59,7 @@ impl HierarchyStats {
         scene.bvh.as_ref().map(|bvh| HierarchyStats {
             shapes: scene.shape_count(),
             triangles: scene.triangles.len(),
-            nodes: bvh.rows.len() / NODE_ROWS,
+            nodes: bvh.nodes,
             bytes: size_of_val(&bvh.rows[..]),
             depth: bvh.depth,
             build_seconds: bvh.seconds,

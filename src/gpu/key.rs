@@ -86,7 +86,7 @@ impl KernelKey {
             guided: estimators.guide != GuideMode::Off,
             teaches: estimators.learns(),
             stratified: estimators.sampler == Sampler::Stratified,
-            bvh: scene.bvh.as_ref().map(|bvh| if bvh.gpu_depth > 0 { bvh.gpu_depth } else { bvh.depth }),
+            bvh: scene.bvh.as_ref().map(|bvh| bvh.depth),
             small_scene: small_scene(scene),
         }
     }

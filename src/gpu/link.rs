@@ -116,31 +116,6 @@ pub fn link_modules(
     };
     let mut sources = VirtualResolver::new();
     for (name, text) in modules {
-        let tried = match crate::scene::wide::variant() {
-            v if *name != "scene/bvh" || v.is_empty() || v == "sorted" => None,
-            v if v.starts_with("8") => Some((include_str!("../../kernels/scene/bvh8.wesl"), v)),
-            v => Some((include_str!("../../kernels/scene/bvh4.wesl"), v)),
-        };
-        if let Some((text, variant)) = tried {
-            let mut kept = String::new();
-            let mut on = true;
-            // Lines between `//#if x` and `//#end` are for variants whose name contains x (`!x`: does not).
-            for line in text.lines() {
-                if let Some(x) = line.trim().strip_prefix("//#if ") {
-                    on = match x.strip_prefix('!') {
-                        Some(x) => !variant.contains(x),
-                        None => variant.contains(x),
-                    };
-                } else if line.trim() == "//#end" {
-                    on = true;
-                } else if on {
-                    kept += line;
-                    kept += "\n";
-                }
-            }
-            sources.add_module(path(name)?, Cow::Owned(kept));
-            continue;
-        }
         sources.add_module(path(name)?, Cow::Borrowed(*text));
     }
     sources.add_module(path("items")?, item_declarations().into());

@@ -186,48 +186,9 @@ impl CompiledScene {
             }
         }
         compiled.sort_quads();
-        let variant = super::wide::variant();
-        if !variant.is_empty() && !compiled.is_small() {
-            compiled.widen(variant);
-            compiled.find_lights();
-            return compiled;
-        }
+        compiled.bvh = (!compiled.is_small()).then(|| Bvh::new(&mut compiled));
         compiled.find_lights();
-        compiled.bvh = (!compiled.is_small()).then(|| Bvh::new(&compiled));
         compiled
-    }
-
-    fn widen(&mut self, variant: &str) {
-        let first_triangle = (self.spheres.len() + self.quads.len()) as u32;
-        let mut tree = Bvh::tree(self);
-        let emits = |i: u32| {
-            self.materials[self.triangles[i as usize].material as usize].emission.max_element() > 0.0
-        };
-        let width = if variant.starts_with('8') { 8 } else { 4 };
-        let most = if variant.contains("leaf3") { 3 } else { 1 };
-        let start = std::time::Instant::now();
-        let wide = super::wide::build(&tree, width, most, first_triangle, emits);
-        eprintln!(
-            "widened in {:.3} s: {} nodes, {} B, levels {}",
-            start.elapsed().as_secs_f64(),
-            wide.nodes,
-            wide.rows.len() * 16,
-            wide.levels
-        );
-        let mut renamed: Vec<u32> = (0..self.shape_count() as u32).collect();
-        for (i, &old) in wide.order.iter().enumerate() {
-            renamed[(first_triangle + old) as usize] = first_triangle + i as u32;
-        }
-        self.triangles = wide.order.iter().map(|&i| self.triangles[i as usize]).collect();
-        for shape in &mut tree.primitive_indices {
-            *shape = renamed[*shape as usize];
-        }
-        let mut bvh = Bvh::flattened(&tree);
-        if variant != "sorted" {
-            bvh.gpu_rows = wide.rows;
-            bvh.gpu_depth = if width == 8 { wide.levels } else { 3 * wide.levels } + 1;
-        }
-        self.bvh = Some(bvh);
     }
 
     /// Puts quads that are easily tested first, each kind in the order that it had.
@@ -235,6 +196,20 @@ impl CompiledScene {
         let kind = |quad: &Quad| quad.axis().unwrap_or(3);
         self.quads.sort_by_key(kind);
         self.aligned = [0, 1, 2].map(|axis| self.quads.iter().filter(|quad| kind(quad) == axis).count());
+    }
+
+    /// Puts triangles into an order given by their indices, but those that shine in front, as among all shapes; what belongs to
+    /// a triangle goes with it. Returns the new index of each. Before lights are found.
+    pub(super) fn reorder_triangles(&mut self, mut order: Vec<u32>) -> Vec<u32> {
+        let CompiledScene { triangles, materials, .. } = self;
+        let shines = |triangle: &Triangle| materials[triangle.material as usize].emission.max_element() > 0.0;
+        order.sort_by_key(|&i| !shines(&triangles[i as usize]));
+        let mut renumbered = vec![0; order.len()];
+        for (i, &old) in (0..).zip(&order) {
+            renumbered[old as usize] = i;
+        }
+        self.triangles = order.iter().map(|&i| self.triangles[i as usize]).collect();
+        renumbered
     }
 
     /// Whether rays ask all shapes.

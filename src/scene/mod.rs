@@ -46,11 +46,13 @@
 mod boxes;
 pub mod bvh;
 mod bvh_build;
-pub mod wide;
+mod bvh_collapse;
+mod bvh_pack;
 pub mod camera;
 mod coincidence;
 pub mod compiled;
 mod mesh;
+mod ploc;
 pub mod rows;
 pub mod shapes;
 pub mod triangle;

@@ -37,7 +37,7 @@ impl<'a> Part<'a> {
 
 /// The parts in the order in which they lie in the buffer.
 fn parts(scene: &CompiledScene) -> [Part<'_>; 8] {
-    let nodes = scene.bvh.as_ref().map_or(&[][..], |bvh| if bvh.gpu_rows.is_empty() { &bvh.rows } else { &bvh.gpu_rows });
+    let nodes = scene.bvh.as_ref().map_or(&[][..], |bvh| &bvh.rows);
     [
         Part::new(&scene.spheres, 0..SPHERE_HOT_ROWS),
         Part::new(&scene.quads, 0..QUAD_HOT_ROWS),
