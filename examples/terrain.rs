@@ -108,7 +108,7 @@ color = [0.5, 0.44, 0.38]
 [materials.sun]
 type = "diffuse"
 color = [0, 0, 0]
-emission = [900, 780, 620]
+emission = [560, 490, 390]
 
 [[shapes]]
 type = "mesh"

@@ -1,6 +1,7 @@
 //! What a render built and spent.
 
 use crate::guiding::Learner;
+use crate::scene::bvh::NODE_ROWS;
 use crate::scene::compiled::CompiledScene;
 use std::collections::BTreeMap;
 
@@ -44,11 +45,11 @@ pub struct HierarchyStats {
     pub shapes: usize,
     /// Of these, triangles of meshes.
     pub triangles: usize,
-    /// Nodes, of up to four boxes each.
+    /// Nodes, of two boxes each.
     pub nodes: usize,
     /// Bytes of the nodes.
     pub bytes: usize,
-    /// Children that a walk may have to come back to at once, at most.
+    /// Nodes from the top to the deepest leaf.
     pub depth: u32,
     /// Seconds that it took to build.
     pub build_seconds: f64,
@@ -59,7 +60,7 @@ impl HierarchyStats {
         scene.bvh.as_ref().map(|bvh| HierarchyStats {
             shapes: scene.shape_count(),
             triangles: scene.triangles.len(),
-            nodes: bvh.nodes,
+            nodes: bvh.rows.len() / NODE_ROWS,
             bytes: size_of_val(&bvh.rows[..]),
             depth: bvh.depth,
             build_seconds: bvh.seconds,

@@ -1,144 +1,85 @@
 //! The nearest shape and occlusion by way of a bounding volume hierarchy, where shapes are too many to ask all. A node holds
-//! the boxes of up to four children, quantised; a leaf is one shape. Laid out by `bvh_build`.
-//! GPU twin: kernels/scene/bvh.wesl
+//! the boxes of its two children; a leaf is one shape. Laid out by `bvh_build`. GPU twin: kernels/scene/bvh.wesl
 
 use super::compiled::{CompiledScene, ShapeIndex, Triangle};
 use super::rows::Row;
 use super::shapes::{Hit, Ray, T_MISS, intersect_quad, intersect_sphere};
 use super::triangle::{RayShear, intersect_triangle, ray_shear};
-use glam::{BVec4A, UVec4, Vec3, Vec4};
+use glam::{Vec3, Vec3A, Vec4};
 
 /// Marks the number of a shape where a node could stand.
 pub const LEAF: u32 = 1 << 31;
 /// Rows of a node.
-pub const NODE_ROWS: usize = 3;
-/// Children of a node, at most.
-pub const WIDTH: usize = 4;
-/// Children that a walk may have to come back to at once, in any hierarchy.
+pub const NODE_ROWS: usize = 4;
+/// Nodes that a walk may have to come back to at once, in any hierarchy.
 pub const MOST_DEPTH: u32 = 96;
 /// Factor on the far side of a box that makes up for the rounding of both sides (Ize 2013).
-const FAR_SIDE: f32 = 1.000002;
+const FAR_SIDE: f32 = 1.0000005;
 
-/// In a node's first row, last word, above the exponents: the number of children that are nodes, three bits …
-pub const INNER_BIT: u32 = 1 << 24;
-/// … of all children, three bits …
-pub const COUNT_BIT: u32 = 1 << 27;
-/// … and whether its shapes are not numbered in a row.
-pub const LIST_BIT: u32 = 1 << 30;
-
-/// Nodes of three rows:
-/// origin of the grid, exponents of its steps along x, y, z in a byte each and the counts above ·
-/// least coordinates of the boxes in steps, a byte for each of four children, along x, y, z, number of the first child that is a node ·
-/// greatest coordinates likewise, [`LEAF`] with the number that the child in slot 0 would have if all were shapes.
-/// Children that are nodes come first and are numbered in a row. If a node's shapes are not, the last word is the number of a row
-/// behind all nodes that lists what is in each slot.
+/// Two boxes, and what is in each: the number of another node, or of a shape with [`LEAF`]. In rows:
+/// minimum, child · maximum, 0 of the first; the same of the second.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Bvh {
     pub rows: Vec<Row>,
-    /// How many nodes there are.
-    pub nodes: usize,
-    /// Children that a walk may have to come back to at once, at most.
+    /// Nodes that a walk may have to come back to at once, at most.
     pub depth: u32,
     /// How long it took to build.
     pub seconds: f64,
 }
 
-/// 1/direction, finite where a component is zero, and small enough to be multiplied by any extent.
+/// 1/direction, finite where a component is zero.
 #[inline(always)]
 fn inverse_direction(direction: Vec3) -> Vec3 {
-    let tiny = Vec3::splat(1e-18);
+    let tiny = Vec3::splat(1e-30);
     let signed = Vec3::select(direction.cmpge(Vec3::ZERO), tiny, -tiny);
     Vec3::ONE / Vec3::select(direction.abs().cmplt(tiny), signed, direction)
 }
 
-/// The four bytes of a word.
 #[inline(always)]
-fn bytes_of(word: u32) -> Vec4 {
-    Vec4::from_array(word.to_le_bytes().map(f32::from))
+fn corner(row: &Row) -> Vec3A {
+    Vec3A::from_vec4(Vec4::from_array(row.map(f32::from_bits)))
 }
 
-/// Where a ray enters the boxes of a node, T_MISS where it does not, and what leads to its children.
-struct NodeMet {
-    t: Vec4,
-    counts: u32,
-    first_node: u32,
-    first_shape: u32,
+/// Where the ray enters the box, T_MISS if it does not before `t_max`.
+#[inline(always)]
+fn box_distance(origin: Vec3A, inverse: Vec3A, low: &Row, high: &Row, t_max: f32) -> f32 {
+    let a = (corner(low) - origin) * inverse;
+    let b = (corner(high) - origin) * inverse;
+    let (near, far) = (a.min(b), a.max(b));
+    let enter = near.max_element().max(0.0);
+    let leave = far.min_element().min(t_max);
+    if enter <= leave * FAR_SIDE { enter } else { T_MISS }
 }
 
-/// The node, and which of its children the ray meets before `t_max`.
-#[inline(always)]
-fn node_met(bvh: &Bvh, node: u32, walker: &Walker, t_max: f32) -> NodeMet {
-    let [frame, low, high] = &bvh.rows.as_chunks().0[node as usize];
-    let begin = (corner(frame) - walker.ray.origin) * walker.inverse;
-    let (mut enter, mut leave) = (Vec4::ZERO, Vec4::splat(t_max));
-    for k in 0..3 {
-        let step = f32::from_bits((frame[3] >> (8 * k) & 255) << 23) * walker.inverse[k];
-        let (near, far) = if walker.inverse[k] < 0.0 { (high[k], low[k]) } else { (low[k], high[k]) };
-        enter = enter.max(bytes_of(near) * step + begin[k]);
-        leave = leave.min(bytes_of(far) * step + begin[k]);
-    }
-    let exists = UVec4::new(0, 1, 2, 3).cmplt(UVec4::splat(frame[3] / COUNT_BIT & 7));
-    let met = enter.cmple(leave * FAR_SIDE) & BVec4A::from_array(exists.into());
-    NodeMet {
-        t: Vec4::select(met, enter, Vec4::splat(T_MISS)),
-        counts: frame[3],
-        first_node: low[3],
-        first_shape: high[3],
-    }
+/// Which children of a node the ray meets before `t_max`; where it meets one, that is the nearer.
+struct ChildrenMet {
+    any: bool,
+    both: bool,
+    nearer: u32,
+    farther: u32,
 }
 
 #[inline(always)]
-fn corner(row: &Row) -> Vec3 {
-    Vec3::from_array([row[0], row[1], row[2]].map(f32::from_bits))
-}
-
-/// What is in a slot: the number of a node, or of a shape with [`LEAF`].
-#[inline(always)]
-fn child(bvh: &Bvh, node: &NodeMet, slot: u32) -> u32 {
-    if slot < (node.counts / INNER_BIT & 7) {
-        return node.first_node + slot;
-    }
-    if node.counts & LIST_BIT != 0 {
-        return bvh.rows[node.first_shape as usize][slot as usize];
-    }
-    node.first_shape.wrapping_add(slot)
-}
-
-/// Distances in their order, each with its slot in its lowest two bits; [`NOTHING`] where the box is not met.
-#[inline(always)]
-fn sorted(t: Vec4) -> [u32; WIDTH] {
-    let key = |slot: usize| if t[slot] < T_MISS { t[slot].to_bits() & !3 | slot as u32 } else { NOTHING };
-    let (a, b) = (key(0).min(key(1)), key(0).max(key(1)));
-    let (c, d) = (key(2).min(key(3)), key(2).max(key(3)));
-    let (low, high) = (a.max(c), b.min(d));
-    [a.min(c), low.min(high), low.max(high), b.max(d)]
-}
-/// Behind all distances.
-const NOTHING: u32 = u32::MAX;
-
-/// What is in a node, and the boxes around: for tests.
-#[cfg(test)]
-pub(super) fn children(bvh: &Bvh, node: u32) -> Vec<(u32, [Vec3; 2])> {
-    let [frame, low, high] = &bvh.rows.as_chunks::<NODE_ROWS>().0[node as usize];
-    let step = Vec3::from_array([0, 8, 16].map(|at| f32::from_bits((frame[3] >> at & 255) << 23)));
-    let met = NodeMet { t: Vec4::ZERO, counts: frame[3], first_node: low[3], first_shape: high[3] };
-    let at = |row: &Row, slot: usize| {
-        corner(frame) + step * Vec3::from_array([0, 1, 2].map(|k| f32::from(row[k].to_le_bytes()[slot])))
-    };
-    let count = frame[3] / COUNT_BIT & 7;
-    (0..count).map(|i| (child(bvh, &met, i), [at(low, i as usize), at(high, i as usize)])).collect()
+fn children_met(bvh: &Bvh, node: u32, walker: &Walker, t_max: f32) -> ChildrenMet {
+    let [low0, high0, low1, high1] = &bvh.rows.as_chunks().0[node as usize];
+    let t0 = box_distance(walker.origin, walker.inverse, low0, high0, t_max);
+    let t1 = box_distance(walker.origin, walker.inverse, low1, high1, t_max);
+    let (nearer, farther) = if t0 <= t1 { (low0[3], low1[3]) } else { (low1[3], low0[3]) };
+    ChildrenMet { any: t0.min(t1) < T_MISS, both: t0.max(t1) < T_MISS, nearer, farther }
 }
 
 /// A ray with what nodes and triangles ask of it.
 struct Walker {
     ray: Ray,
-    inverse: Vec3,
+    origin: Vec3A,
+    inverse: Vec3A,
     view: RayShear,
 }
 
 #[inline(always)]
 fn walker(ray: Ray) -> Walker {
-    Walker { ray, inverse: inverse_direction(ray.direction), view: ray_shear(ray.direction) }
+    let inverse = inverse_direction(ray.direction).into();
+    Walker { ray, origin: ray.origin.into(), inverse, view: ray_shear(ray.direction) }
 }
 
 /// Distance to one shape, T_MISS if there is none.
@@ -173,18 +114,6 @@ impl Waiting {
         self.count += 1;
     }
 
-    /// Pushes the children that are met but the nearest, which is returned.
-    #[inline(always)]
-    fn push_farther(&mut self, bvh: &Bvh, node: &NodeMet) -> Option<u32> {
-        let keys = sorted(node.t);
-        for key in [keys[3], keys[2], keys[1]] {
-            if key != NOTHING {
-                self.push(child(bvh, node, key & 3));
-            }
-        }
-        (keys[0] != NOTHING).then(|| child(bvh, node, keys[0] & 3))
-    }
-
     #[inline(always)]
     fn pop(&mut self) -> Option<u32> {
         self.count = self.count.checked_sub(1)?;
@@ -206,9 +135,12 @@ pub fn intersect(scene: &CompiledScene, bvh: &Bvh, ray: Ray) -> Option<Hit> {
                 hit = Hit { t, shape };
             }
         } else {
-            let node = node_met(bvh, at, &walker, hit.t);
-            if let Some(nearest) = waiting.push_farther(bvh, &node) {
-                at = nearest;
+            let met = children_met(bvh, at, &walker, hit.t);
+            if met.any {
+                at = met.nearer;
+                if met.both {
+                    waiting.push(met.farther);
+                }
                 continue;
             }
         }
@@ -231,9 +163,12 @@ pub fn occluded(scene: &CompiledScene, bvh: &Bvh, ray: Ray, t_max: f32, excluded
                 return true;
             }
         } else {
-            let node = node_met(bvh, at, &walker, t_max);
-            if let Some(nearest) = waiting.push_farther(bvh, &node) {
-                at = nearest;
+            let met = children_met(bvh, at, &walker, t_max);
+            if met.any {
+                at = met.nearer;
+                if met.both {
+                    waiting.push(met.farther);
+                }
                 continue;
             }
         }

@@ -1,11 +1,10 @@
-//! Builds the bounding volume hierarchy over the shapes of a scene too large to ask them all: a binary tree (`ploc`), improved
-//! by inserting its nodes anew (`obvhs`, Meister & Bittner 2018b), four of whose nodes at a time become one (`bvh_collapse`).
+//! Builds the bounding volume hierarchy over the shapes of a scene too large to ask them all: clusters their boxes (`ploc`),
+//! inserts nodes of the tree anew where that makes boxes smaller (Meister & Bittner 2018, by `obvhs`), and lays it out.
 
-use super::bvh::{Bvh, MOST_DEPTH};
-use super::bvh_collapse::{Wide, collapsed};
-use super::bvh_pack::packed;
+use super::bvh::{Bvh, LEAF, MOST_DEPTH, NODE_ROWS};
 use super::compiled::{CompiledScene, Quad, Sphere, Triangle};
 use super::ploc::ploc;
+use super::rows::Row;
 use glam::Vec3;
 use obvhs::aabb::Aabb;
 use obvhs::bvh2::Bvh2;
@@ -17,6 +16,9 @@ const PADDING: f32 = 2e-6;
 /// From so many shapes on, only the twentieth of the nodes that gains most is inserted anew. All of them gain nothing more: for
 /// 82 thousand to a million triangles walks on a CPU took within 5 % of the same time, and building up to 13 times as long.
 const MANY: usize = 10_000;
+
+/// Passes of clustering after which the tree would become deeper than a walk remembers.
+const PATIENCE: usize = 64;
 
 fn bounds(min: Vec3, max: Vec3) -> Aabb {
     let margin = PADDING * min.abs().max(max.abs()).max_element();
@@ -46,97 +48,142 @@ fn all_bounds(scene: &CompiledScene) -> Vec<Aabb> {
     spheres.chain(quads).chain(scene.triangles.iter().map(triangle_bounds)).collect()
 }
 
-/// Passes of clustering after which a tree would be deeper than a walk remembers.
-const PATIENCE: usize = 64;
-
 impl Bvh {
-    /// The hierarchy of a scene of one shape or more, whose triangles are put into its order.
-    pub fn new(scene: &mut CompiledScene) -> Bvh {
+    /// The hierarchy of a scene of one shape or more.
+    pub fn new(scene: &CompiledScene) -> Bvh {
         let start = Instant::now();
-        let (tree, wide) = shallow_enough(&all_bounds(scene));
-        let first_triangle = scene.shape_count() - scene.triangles.len();
-        let triangles: Vec<u32> = wide
-            .shapes
-            .iter()
-            .filter_map(|&shape| (shape as usize).checked_sub(first_triangle).map(|i| i as u32))
-            .collect();
-        let renumbered = scene.reorder_triangles(triangles);
-        let number = |&shape: &u32| match (shape as usize).checked_sub(first_triangle) {
-            Some(i) => first_triangle as u32 + renumbered[i],
-            None => shape,
-        };
-        let numbers: Vec<u32> = wide.shapes.iter().map(number).collect();
-        let rows = packed(&tree, &wide, &numbers);
-        Bvh { rows, nodes: wide.nodes.len(), depth: wide.depth, seconds: start.elapsed().as_secs_f64() }
+        let boxes = all_bounds(scene);
+        let mut bvh = Bvh::best(&boxes);
+        bvh.seconds = start.elapsed().as_secs_f64();
+        bvh
     }
-}
 
-/// The best hierarchy that a walk can go through: inserting anew may make it deep, and so may clustering.
-fn shallow_enough(boxes: &[Aabb]) -> (Bvh2, Wide) {
-    for (patience, ratio) in [(PATIENCE, if boxes.len() < MANY { 1.0 } else { 0.05 }), (PATIENCE, 0.0)] {
-        let (mut tree, _) = ploc(boxes, patience);
-        ReinsertionOptimizer::default().run(&mut tree, ratio, None);
-        match collapsed(&tree) {
-            Some(wide) if wide.depth <= MOST_DEPTH => return (tree, wide),
-            _ => (),
+    /// The best hierarchy of those that a walk can go through: inserting nodes anew may make it too deep, as may clustering.
+    fn best(boxes: &[Aabb]) -> Bvh {
+        let share = if boxes.len() < MANY { 1.0 } else { 0.05 };
+        for share in [share, 0.0] {
+            let mut tree = ploc(boxes, PATIENCE);
+            ReinsertionOptimizer::default().run(&mut tree, share, None);
+            let bvh = Bvh::flattened(&tree);
+            if bvh.depth <= MOST_DEPTH {
+                return bvh;
+            }
         }
+        Bvh::balanced(boxes)
     }
-    let (tree, _) = ploc(boxes, 0);
-    let wide = collapsed(&tree).unwrap_or_default();
-    (tree, wide)
+
+    /// The nodes of a tree, each in front of all below it.
+    fn flattened(tree: &Bvh2) -> Bvh {
+        let root = &tree.nodes[0];
+        if root.prim_count > 0 {
+            let leaf = (LEAF | tree.primitive_indices[root.first_index as usize], root.aabb);
+            return Bvh::of_one(leaf);
+        }
+        let mut bvh = Bvh::default();
+        // (node of the tree, row that is to hold its number, depth)
+        let mut open = vec![(0, None, 1)];
+        while let Some((node, parent, depth)) = open.pop() {
+            let first = bvh.add_node(parent, depth);
+            let children = tree.nodes[node].first_index as usize;
+            for side in [1, 0] {
+                let child = &tree.nodes[children + side];
+                let row = first + 2 * side;
+                let leaf = match child.prim_count {
+                    0 => 0,
+                    _ => LEAF | tree.primitive_indices[child.first_index as usize],
+                };
+                bvh.set_child(row, (leaf, child.aabb));
+                if child.prim_count == 0 {
+                    open.push((children + side, Some(row), depth + 1));
+                }
+            }
+        }
+        bvh
+    }
+
+    /// A hierarchy of least depth: boxes are joined with the next one in the order of a curve.
+    fn balanced(boxes: &[Aabb]) -> Bvh {
+        Bvh::flattened(&ploc(boxes, 0))
+    }
+
+    /// A single leaf, which is asked once: the second box is the first, and equal distances change nothing.
+    fn of_one(leaf: (u32, Aabb)) -> Bvh {
+        let mut bvh = Bvh::default();
+        let first = bvh.add_node(None, 1);
+        bvh.set_child(first, leaf);
+        bvh.set_child(first + 2, leaf);
+        bvh
+    }
+
+    /// Adds a node, tells the row of its parent, and returns its own first row.
+    fn add_node(&mut self, parent: Option<usize>, depth: u32) -> usize {
+        let first = self.rows.len();
+        if let Some(parent) = parent {
+            self.rows[parent][3] = (first / NODE_ROWS) as u32;
+        }
+        self.depth = self.depth.max(depth);
+        self.rows.extend([Row::default(); NODE_ROWS]);
+        first
+    }
+
+    /// What is in the box that begins at `row`, and the box.
+    fn set_child(&mut self, row: usize, (reference, around): (u32, Aabb)) {
+        let words = |v: glam::Vec3A, word| [v.x.to_bits(), v.y.to_bits(), v.z.to_bits(), word];
+        self.rows[row] = words(around.min, reference);
+        self.rows[row + 1] = words(around.max, 0);
+    }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::bvh::{LEAF, NODE_ROWS, children};
     use super::*;
     use crate::scene::Scene;
 
-    fn compiled(name: &str) -> CompiledScene {
-        CompiledScene::new(&Scene::load(format!("scenes/{name}.toml")).unwrap())
+    fn bvh(name: &str) -> (CompiledScene, Bvh) {
+        let scene = CompiledScene::new(&Scene::load(format!("scenes/{name}.toml")).unwrap());
+        let bvh = Bvh::new(&scene);
+        (scene, bvh)
     }
 
-    /// Every shape in exactly one leaf, every box around what is in it, whatever tree it comes from.
+    fn corner(row: Row) -> Vec3 {
+        Vec3::from_array([row[0], row[1], row[2]].map(f32::from_bits))
+    }
+
+    /// Every shape in exactly one leaf, every box around what is in it; in a balanced one too.
     #[test]
     fn the_hierarchy_holds_every_shape_once_within_its_boxes() {
         for name in ["door-ajar", "many-lights", "cornell-box", "bansal-room-1", "mesh"] {
-            let mut scene = compiled(name);
-            let bvh = Bvh::new(&mut scene);
+            let (scene, bvh) = bvh(name);
             holds_every_shape_once(name, &scene, &bvh);
-            let (tree, _) = ploc(&all_bounds(&scene), 0);
-            let wide = collapsed(&tree).unwrap();
-            let rows = packed(&tree, &wide, &wide.shapes);
-            assert!(wide.depth <= 3 * (1 + scene.shape_count().ilog2()), "{name}: {}", wide.depth);
-            let halved = Bvh { rows, nodes: wide.nodes.len(), depth: wide.depth, seconds: 0.0 };
-            holds_every_shape_once(name, &scene, &halved);
+            let balanced = Bvh::balanced(&all_bounds(&scene));
+            holds_every_shape_once(name, &scene, &balanced);
+            assert_eq!(balanced.depth, scene.shape_count().next_power_of_two().ilog2(), "{name}");
         }
     }
 
     fn holds_every_shape_once(name: &str, scene: &CompiledScene, bvh: &Bvh) {
         let count = scene.shape_count();
-        assert!(3 * bvh.nodes >= count - 1 && bvh.nodes < count.max(2), "{name}: {} nodes", bvh.nodes);
-        assert!(bvh.rows.len() >= NODE_ROWS * bvh.nodes);
+        assert_eq!(bvh.rows.len(), NODE_ROWS * (count - 1), "{name}");
         let shapes = all_bounds(scene);
         let mut seen = vec![0; count];
-        // (what, boxes around it, children waiting)
-        let mut open = vec![(0u32, vec![], 0u32)];
+        // (what, box around it, depth)
+        let everything = (Vec3::NEG_INFINITY, Vec3::INFINITY);
+        let mut open = vec![(0u32, everything, 1u32)];
         let mut deepest = 0;
-        while let Some((reference, around, waiting)) = open.pop() {
+        while let Some((reference, (min, max), depth)) = open.pop() {
             if reference & LEAF != 0 {
                 let shape = (reference & !LEAF) as usize;
                 seen[shape] += 1;
-                let Aabb { min, max } = shapes[shape];
-                let holds = |[low, high]: &[Vec3; 2]| Vec3::from(min).cmpge(*low).all() && Vec3::from(max).cmple(*high).all();
-                assert!(around.iter().all(holds), "{name}: {shape}");
+                let Aabb { min: a, max: b } = shapes[shape];
+                assert!(Vec3::from(a).cmpge(min).all() && Vec3::from(b).cmple(max).all(), "{name}: {shape}");
                 continue;
             }
-            let children = children(bvh, reference);
-            let waiting = waiting + children.len() as u32 - 1;
-            deepest = deepest.max(waiting);
-            for (child, corners) in children {
-                let mut around = around.clone();
-                around.push(corners);
-                open.push((child, around, waiting));
+            deepest = deepest.max(depth);
+            let rows = &bvh.rows[NODE_ROWS * reference as usize..][..NODE_ROWS];
+            for side in rows.chunks(2) {
+                let (low, high) = (corner(side[0]), corner(side[1]));
+                assert!(low.cmpge(min).all() && high.cmple(max).all(), "{name}: a box sticks out");
+                open.push((side[0][3], (low, high), depth + 1));
             }
         }
         assert!(seen.iter().all(|&n| n == 1), "{name}: {seen:?}");
@@ -148,9 +195,9 @@ mod tests {
     fn no_hierarchy_is_deeper_than_a_walk_remembers() {
         for (count, growth) in [(300, 1.05f32), (20_000, 1.0005)] {
             let shell = |i| Sphere { radius: growth.powi(i), ..Default::default() };
-            let mut scene = CompiledScene { spheres: (0..count).map(shell).collect(), ..Default::default() };
-            let bvh = Bvh::new(&mut scene);
-            assert!(bvh.depth <= MOST_DEPTH, "{}", bvh.depth);
+            let scene = CompiledScene { spheres: (0..count).map(shell).collect(), ..Default::default() };
+            let bvh = Bvh::new(&scene);
+            assert!(bvh.depth <= MOST_DEPTH, "{count}: {}", bvh.depth);
             holds_every_shape_once("shells", &scene, &bvh);
         }
     }
@@ -158,35 +205,13 @@ mod tests {
     /// Threads share the work of building; what they build is the same.
     #[test]
     fn a_hierarchy_does_not_depend_on_the_number_of_threads() {
-        let scene = compiled("mesh");
+        let (scene, _) = bvh("mesh");
         let by = |threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| Bvh::new(&mut scene.clone()).rows)
+            pool.install(|| Bvh::new(&scene).rows)
         };
         let alone = by(1);
         assert!((2..6).all(|threads| by(threads) == alone));
-    }
-
-    /// Triangles lie in the order in which a walk meets them, those that shine in front, and every one is still there.
-    #[test]
-    fn triangles_are_put_in_order_and_none_is_lost() {
-        let described = Scene::load("scenes/mesh.toml").unwrap();
-        let scene = CompiledScene::new(&described);
-        let key = |corners: [Vec3; 3]| corners.map(|v| v.to_array().map(f32::to_bits));
-        let mut given: Vec<_> = described
-            .shapes
-            .iter()
-            .filter_map(|shape| match &shape.geometry {
-                crate::scene::Geometry::Mesh(mesh) => Some(mesh.triangles().map(key)),
-                _ => None,
-            })
-            .flatten()
-            .collect();
-        let mut kept: Vec<_> = scene.triangles.iter().map(|t| key([t.a, t.b, t.c])).collect();
-        assert_ne!(given, kept, "there is an order to be made");
-        given.sort_unstable();
-        kept.sort_unstable();
-        assert!(given == kept);
     }
 
     #[test]

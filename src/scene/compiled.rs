@@ -186,8 +186,8 @@ impl CompiledScene {
             }
         }
         compiled.sort_quads();
-        compiled.bvh = (!compiled.is_small()).then(|| Bvh::new(&mut compiled));
         compiled.find_lights();
+        compiled.bvh = (!compiled.is_small()).then(|| Bvh::new(&compiled));
         compiled
     }
 
@@ -196,20 +196,6 @@ impl CompiledScene {
         let kind = |quad: &Quad| quad.axis().unwrap_or(3);
         self.quads.sort_by_key(kind);
         self.aligned = [0, 1, 2].map(|axis| self.quads.iter().filter(|quad| kind(quad) == axis).count());
-    }
-
-    /// Puts triangles into an order given by their indices, but those that shine in front, as among all shapes; what belongs to
-    /// a triangle goes with it. Returns the new index of each. Before lights are found.
-    pub(super) fn reorder_triangles(&mut self, mut order: Vec<u32>) -> Vec<u32> {
-        let CompiledScene { triangles, materials, .. } = self;
-        let shines = |triangle: &Triangle| materials[triangle.material as usize].emission.max_element() > 0.0;
-        order.sort_by_key(|&i| !shines(&triangles[i as usize]));
-        let mut renumbered = vec![0; order.len()];
-        for (i, &old) in (0..).zip(&order) {
-            renumbered[old as usize] = i;
-        }
-        self.triangles = order.iter().map(|&i| self.triangles[i as usize]).collect();
-        renumbered
     }
 
     /// Whether rays ask all shapes.

@@ -46,8 +46,6 @@
 mod boxes;
 pub mod bvh;
 mod bvh_build;
-mod bvh_collapse;
-mod bvh_pack;
 pub mod camera;
 mod coincidence;
 pub mod compiled;

@@ -18,8 +18,9 @@ const STUCK: usize = 16;
 /// Boxes that a thread takes at once.
 const CHUNK: usize = 512;
 
-/// The tree over `boxes`, one a leaf, and how many passes it took. After `patience` passes every box is joined with the next.
-pub(super) fn ploc(boxes: &[Aabb], patience: usize) -> (Bvh2, usize) {
+/// The tree over `boxes`, of which there is at least one; each is a leaf. After `patience` passes all are joined with the
+/// next. Its `max_depth` is one more than the passes that it took.
+pub(super) fn ploc(boxes: &[Aabb], patience: usize) -> Bvh2 {
     let mut clusters = along_the_curve(boxes);
     let mut nodes = vec![Bvh2Node::default(); 2 * boxes.len() - 1];
     let mut end = nodes.len();
@@ -31,14 +32,13 @@ pub(super) fn ploc(boxes: &[Aabb], patience: usize) -> (Bvh2, usize) {
         passes += 1;
     }
     nodes[0] = clusters[0];
-    let tree = Bvh2 {
+    Bvh2 {
         nodes,
         primitive_indices: (0..boxes.len() as u32).collect(),
         children_are_ordered_after_parents: true,
         max_depth: passes + 1,
         ..Default::default()
-    };
-    (tree, passes)
+    }
 }
 
 /// A leaf for each box, in the order of a Morton curve through their middles.
@@ -116,8 +116,9 @@ fn take_smaller(areas: &mut [f32], bits: &mut [u32], others: &[f32], their_bits:
 
 /// Leaves those partners that agree; others get themselves, or the next one of them where few agree.
 fn keep_mutual(partners: &mut [u32]) {
-    let alone: Vec<usize> =
-        (0..partners.len()).filter(|&i| partners[partners[i] as usize] as usize != i || partners[i] as usize == i).collect();
+    let alone: Vec<usize> = (0..partners.len())
+        .filter(|&i| partners[partners[i] as usize] as usize != i || partners[i] as usize == i)
+        .collect();
     let agreed = partners.len() - alone.len();
     for &i in &alone {
         partners[i] = i as u32;
@@ -167,13 +168,14 @@ mod tests {
         let fan = boxes(20_000, |t| [rim(0.0).min(rim(t)), rim(0.0).max(rim(t))]);
         let row = boxes(20_000, |t| [Vec3A::X * t, Vec3A::X * t + 1e-4]);
         for (name, boxes) in [("nested", nested), ("equal", equal), ("fan", fan), ("row", row)] {
-            let (tree, passes) = ploc(&boxes, 64);
+            let tree = ploc(&boxes, 64);
+            let passes = tree.max_depth - 1;
             println!("{name}: {passes} passes");
             assert!(passes <= 64, "{name}: {passes} passes");
             assert_eq!(tree.nodes.len(), 2 * boxes.len() - 1);
         }
-        let (_, passes) = ploc(&boxes(20_000, |_| [Vec3A::ZERO, Vec3A::ONE]), 0);
-        assert_eq!(passes, 15, "halves each time");
+        let equal = boxes(20_000, |_| [Vec3A::ZERO, Vec3A::ONE]);
+        assert_eq!(ploc(&equal, 0).max_depth - 1, 15, "halves each time");
     }
 
     /// What the loops over arrays find is what looking at each neighbour finds.
@@ -186,7 +188,10 @@ mod tests {
             let area = |j: usize| clusters[i].aabb().union(clusters[j].aabb()).half_area();
             let near = (i.saturating_sub(REACH)..(i + REACH + 1).min(clusters.len())).filter(|&j| j != i);
             let least = near.map(area).fold(f32::INFINITY, f32::min);
-            assert!(partner as usize != i && area(partner as usize) <= least * (1.0 + 1e-5), "{i}: {partner}");
+            assert!(
+                partner as usize != i && area(partner as usize) <= least * (1.0 + 1e-5),
+                "{i}: {partner}"
+            );
         }
     }
 }
