@@ -5,6 +5,7 @@ use super::failure::Failure;
 use super::guide_args::{GuideArgs, GuideJob};
 use super::stop::{Goal, Stop};
 use super::values::{self, Switch};
+use super::waiting;
 use clap::{Args, ValueEnum};
 use qtracer::film::check_writable;
 use qtracer::gpu::stage::Schedule;
@@ -233,7 +234,9 @@ const MAX_SPP_WITH_ERROR: u32 = 65_536;
 impl RenderArgs {
     /// Loads the scene and checks everything that can be wrong.
     pub fn validate(self) -> Result<Job, Failure> {
-        let scene = Scene::load(&self.scene).map_err(Failure::bad_input)?;
+        let reading = format!("reading {}", self.scene.display());
+        let scene =
+            waiting::during(&reading, self.quiet, || Scene::load(&self.scene)).map_err(Failure::bad_input)?;
         let stop = self.stop.validate(&scene, self.transport.first_sample)?;
         let outputs = match self.output.is_empty() {
             true => vec![default_output(&self.scene)],

@@ -152,6 +152,7 @@ fn joined(clusters: &[Bvh2Node], partners: &[u32], nodes: &mut [Bvh2Node], end: 
 mod tests {
     use super::*;
     use glam::Vec3A;
+    use std::f32::consts::TAU;
 
     fn boxes(count: usize, corners: impl Fn(f32) -> [Vec3A; 2]) -> Vec<Aabb> {
         let at = |i| corners(i as f32 / count as f32);
@@ -162,7 +163,7 @@ mod tests {
     /// nested ones take 20,000 passes and 15 seconds.
     #[test]
     fn clustering_takes_few_passes_whatever_the_boxes_are() {
-        let rim = |t: f32| Vec3A::new((6.28 * t).cos(), (6.28 * t).sin(), 0.3 * (6.28 * t).cos());
+        let rim = |t: f32| Vec3A::new((TAU * t).cos(), (TAU * t).sin(), 0.3 * (TAU * t).cos());
         let nested = boxes(20_000, |t| [Vec3A::splat(-1.0 - t), Vec3A::splat(1.0 + t)]);
         let equal = boxes(20_000, |_| [Vec3A::ZERO, Vec3A::ONE]);
         let fan = boxes(20_000, |t| [rim(0.0).min(rim(t)), rim(0.0).max(rim(t))]);
@@ -171,7 +172,7 @@ mod tests {
             let tree = ploc(&boxes, 64);
             let passes = tree.max_depth - 1;
             println!("{name}: {passes} passes");
-            assert!(passes <= 64, "{name}: {passes} passes");
+            assert!(passes <= 40, "{name}: {passes} passes");
             assert_eq!(tree.nodes.len(), 2 * boxes.len() - 1);
         }
         let equal = boxes(20_000, |_| [Vec3A::ZERO, Vec3A::ONE]);
