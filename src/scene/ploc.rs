@@ -62,7 +62,11 @@ fn partners(clusters: &[Bvh2Node]) -> Vec<u32> {
         let seen = first.saturating_sub(REACH)..(first + partners.len() + REACH).min(clusters.len());
         let best = best_in(&clusters[seen.clone()], seen.start as u32);
         for (i, partner) in (first..).zip(partners) {
-            *partner = i as u32 ^ best[i - seen.start];
+            *partner = match best[i - seen.start] {
+                // Boxes without a size have no partner.
+                u32::MAX => i as u32,
+                bits => i as u32 ^ bits,
+            };
         }
     });
     partners
