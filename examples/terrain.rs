@@ -19,7 +19,7 @@ const OCTAVES: u32 = 9;
 
 /// A number in -1..1 that belongs to a point with whole coordinates (by the finaliser of MurmurHash3).
 fn at_point(x: i32, z: i32, octave: u32) -> f32 {
-    let mut h = (x as u32).wrapping_mul(0x9e37_79b1) ^ (z as u32).wrapping_mul(0x85eb_ca77) ^ octave << 27;
+    let mut h = (x as u32).wrapping_mul(0x9e37_79b1) ^ (z as u32).wrapping_mul(0x85eb_ca77) ^ (octave << 27);
     h = (h ^ h >> 16).wrapping_mul(0x85eb_ca6b);
     h = (h ^ h >> 13).wrapping_mul(0xc2b2_ae35);
     ((h ^ h >> 16) >> 8) as f32 / (1 << 23) as f32 - 1.0
@@ -140,4 +140,38 @@ fn main() -> Result<(), Box<dyn error::Error>> {
     fs::write(&path, scene(triangles))?;
     println!("{}: {triangles} triangles", path.display());
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use qtracer::Scene;
+    use qtracer::scene::Geometry;
+
+    /// FNV-1a.
+    fn fingerprint(bytes: &[u8]) -> u64 {
+        bytes
+            .iter()
+            .fold(0xcbf2_9ce4_8422_2325, |h, &b| (h ^ u64::from(b)).wrapping_mul(0x0000_0100_0000_01b3))
+    }
+
+    #[test]
+    fn what_is_made_is_a_scene_and_the_same_everywhere() {
+        let folder = tempfile::tempdir().unwrap();
+        let [mesh, path] = ["terrain.ply", "terrain.toml"].map(|name| folder.path().join(name));
+        write_mesh(&mesh, 10).unwrap();
+        fs::write(&path, scene(200)).unwrap();
+        let scene = Scene::load(&path).unwrap();
+        let meshes = scene.shapes.iter().filter_map(|shape| match &shape.geometry {
+            Geometry::Mesh(mesh) => Some(mesh.len()),
+            _ => None,
+        });
+        assert_eq!(meshes.collect::<Vec<_>>(), [200]);
+        assert!(scene.warnings().is_empty());
+        assert_eq!(
+            fingerprint(&fs::read(&mesh).unwrap()),
+            0xce5f_ef2b_d94c_6e1e,
+            "other bytes than elsewhere"
+        );
+    }
 }
