@@ -16,6 +16,7 @@ mod signals;
 mod stats;
 mod stop;
 mod values;
+mod waiting;
 
 use clap::{Parser, Subcommand};
 use failure::Failure;

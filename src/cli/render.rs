@@ -8,9 +8,11 @@ use super::render_args::{Job, RenderArgs, has_extension};
 use super::signals;
 use super::stats::{self, Report};
 use super::stop::{Goal, State};
+use super::waiting;
 use qtracer::engine::GuideView;
 use qtracer::film::{WriteOptions, write_image};
-use qtracer::{EngineKind, Image, RenderError, RenderStats, Renderer};
+use qtracer::scene::{Geometry, Shape};
+use qtracer::{EngineKind, Image, RenderError, RenderStats, Renderer, Scene};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -27,7 +29,9 @@ pub fn run(args: RenderArgs) -> Result<(), Failure> {
     }
     let slot = signals::watch();
     let start = Instant::now();
-    let mut renderer = Renderer::new(&job.scene, job.options.clone()).map_err(|e| Failure::of_start(&e))?;
+    let prepared = || Renderer::new(&job.scene, job.options.clone());
+    let mut renderer =
+        waiting::during(&preparing(&job.scene), job.quiet, prepared).map_err(|e| Failure::of_start(&e))?;
     slot.get_or_init(|| renderer.cancel_token());
     let preparation = start.elapsed();
     renderer.notices().iter().for_each(|text| note(&job, text));
@@ -35,6 +39,18 @@ pub fn run(args: RenderArgs) -> Result<(), Failure> {
     warn_of_other_scene(&job, &renderer);
     let (end, elapsed) = trace(&mut renderer, &job);
     Ending::new(&job, &renderer, end, preparation, elapsed).conclude()
+}
+
+/// What happens before the first sample; what it costs is mostly the hierarchy over the triangles.
+fn preparing(scene: &Scene) -> String {
+    let triangles = |shape: &Shape| match &shape.geometry {
+        Geometry::Mesh(mesh) => mesh.len(),
+        _ => 0,
+    };
+    match scene.shapes.iter().map(triangles).sum() {
+        0 => "preparing the scene".to_owned(),
+        count => format!("putting {count} triangles in order"),
+    }
 }
 
 fn note(job: &Job, text: impl std::fmt::Display) {

@@ -5,6 +5,7 @@ use super::failure::Failure;
 use super::guide_args::{GuideArgs, GuideJob};
 use super::stop::{Goal, Stop};
 use super::values::{self, Switch};
+use super::waiting;
 use clap::{Args, ValueEnum};
 use qtracer::film::check_writable;
 use qtracer::gpu::stage::Schedule;
@@ -243,11 +244,12 @@ const MAX_SPP_WITH_ERROR: u32 = 65_536;
 impl RenderArgs {
     /// Loads the scene and checks everything that can be wrong.
     pub fn validate(self) -> Result<Job, Failure> {
-        let scene = match &self.camera {
+        let reading = format!("reading {}", self.scene.display());
+        let load = || match &self.camera {
             Some(camera) => Scene::load_with_camera(&self.scene, camera),
             None => Scene::load(&self.scene),
         };
-        let scene = scene.map_err(Failure::bad_input)?;
+        let scene = waiting::during(&reading, self.quiet, load).map_err(Failure::bad_input)?;
         let stop = self.stop.validate(&scene, self.transport.first_sample)?;
         let outputs = match self.output.is_empty() {
             true => vec![default_output(&self.scene)],

@@ -1,15 +1,14 @@
-//! Builds the bounding volume hierarchy over the shapes of a scene too large to ask them all, by `obvhs` (PLOC, Meister &
-//! Bittner 2018, with reinsertion), which is met in this file only.
+//! Builds the bounding volume hierarchy over the shapes of a scene too large to ask them all: clusters their boxes (`ploc`),
+//! inserts nodes of the tree anew where that makes boxes smaller (Meister & Bittner 2018, by `obvhs`), and lays it out.
 
 use super::bvh::{Bvh, LEAF, MOST_DEPTH, NODE_ROWS};
 use super::compiled::{CompiledScene, Quad, Sphere, Triangle};
+use super::ploc::ploc;
 use super::rows::Row;
 use glam::Vec3;
 use obvhs::aabb::Aabb;
 use obvhs::bvh2::Bvh2;
-use obvhs::bvh2::builder::build_bvh2;
-use obvhs::ploc::{PlocSearchDistance, SortPrecision};
-use obvhs::{Boundable, BvhBuildParams};
+use obvhs::bvh2::reinsertion::ReinsertionOptimizer;
 use std::time::Instant;
 
 /// How much larger than its shape a box is, relative to its largest coordinate: more than intersection rounds by.
@@ -18,37 +17,32 @@ const PADDING: f32 = 2e-6;
 /// 82 thousand to a million triangles walks on a CPU took within 5 % of the same time, and building up to 13 times as long.
 const MANY: usize = 10_000;
 
-struct Bounds(Aabb);
+/// Passes of clustering after which the tree would become deeper than a walk remembers.
+const PATIENCE: usize = 64;
 
-impl Boundable for Bounds {
-    fn aabb(&self) -> Aabb {
-        self.0
-    }
-}
-
-fn bounds(min: Vec3, max: Vec3) -> Bounds {
+fn bounds(min: Vec3, max: Vec3) -> Aabb {
     let margin = PADDING * min.abs().max(max.abs()).max_element();
-    Bounds(Aabb { min: (min - margin).into(), max: (max + margin).into() })
+    Aabb { min: (min - margin).into(), max: (max + margin).into() }
 }
 
-fn sphere_bounds(sphere: &Sphere) -> Bounds {
+fn sphere_bounds(sphere: &Sphere) -> Aabb {
     bounds(sphere.center - sphere.radius, sphere.center + sphere.radius)
 }
 
-fn quad_bounds(quad: &Quad) -> Bounds {
+fn quad_bounds(quad: &Quad) -> Aabb {
     let Quad { corner, e1, e2, .. } = *quad;
     let corners = [corner, corner + e1, corner + e2, corner + e1 + e2];
     let (first, rest) = (corners[0], &corners[1..]);
     bounds(rest.iter().fold(first, |a, &b| a.min(b)), rest.iter().fold(first, |a, &b| a.max(b)))
 }
 
-fn triangle_bounds(triangle: &Triangle) -> Bounds {
+fn triangle_bounds(triangle: &Triangle) -> Aabb {
     let Triangle { a, b, c, .. } = *triangle;
     bounds(a.min(b).min(c), a.max(b).max(c))
 }
 
 /// Boxes around all shapes, in the order of their numbers.
-fn all_bounds(scene: &CompiledScene) -> Vec<Bounds> {
+fn all_bounds(scene: &CompiledScene) -> Vec<Aabb> {
     let spheres = scene.spheres.iter().map(sphere_bounds);
     let quads = scene.quads.iter().map(quad_bounds);
     spheres.chain(quads).chain(scene.triangles.iter().map(triangle_bounds)).collect()
@@ -58,25 +52,24 @@ impl Bvh {
     /// The hierarchy of a scene of one shape or more.
     pub fn new(scene: &CompiledScene) -> Bvh {
         let start = Instant::now();
-        let shapes = all_bounds(scene);
-        let parameters = BvhBuildParams {
-            pre_split: false,
-            ploc_search_distance: PlocSearchDistance::Medium,
-            search_depth_threshold: 3,
-            reinsertion_batch_ratio: if shapes.len() < MANY { 1.0 } else { 0.05 },
-            post_collapse_reinsertion_batch_ratio_multiplier: 0.0,
-            sort_precision: SortPrecision::U64,
-            // A shape is tested in about the time of a node.
-            max_prims_per_leaf: 1,
-            collapse_traversal_cost: 1.0,
-        };
-        let tree = build_bvh2(&shapes, parameters, &mut Default::default());
-        let mut bvh = Bvh::flattened(&tree);
-        if bvh.depth > MOST_DEPTH {
-            bvh = Bvh::balanced(&shapes);
-        }
+        let boxes = all_bounds(scene);
+        let mut bvh = Bvh::best(&boxes);
         bvh.seconds = start.elapsed().as_secs_f64();
         bvh
+    }
+
+    /// The best hierarchy of those that a walk can go through: inserting nodes anew may make it too deep, as may clustering.
+    fn best(boxes: &[Aabb]) -> Bvh {
+        let share = if boxes.len() < MANY { 1.0 } else { 0.05 };
+        for share in [share, 0.0] {
+            let mut tree = ploc(boxes, PATIENCE);
+            ReinsertionOptimizer::default().run(&mut tree, share, None);
+            let bvh = Bvh::flattened(&tree);
+            if bvh.depth <= MOST_DEPTH {
+                return bvh;
+            }
+        }
+        Bvh::balanced(boxes)
     }
 
     /// The nodes of a tree, each in front of all below it.
@@ -108,33 +101,9 @@ impl Bvh {
         bvh
     }
 
-    /// A hierarchy of least depth over two shapes or more, for those that drive the other one too deep for a walk: halves along
-    /// the longest side.
-    fn balanced(shapes: &[Bounds]) -> Bvh {
-        let mut order: Vec<u32> = (0..shapes.len() as u32).collect();
-        let around = |shapes_in: &[u32]| {
-            shapes_in.iter().fold(Aabb::INVALID, |all, &i| all.union(&shapes[i as usize].0))
-        };
-        let mut bvh = Bvh::default();
-        let mut open = vec![(0..order.len(), None, 1)];
-        while let Some((range, parent, depth)) = open.pop() {
-            let first = bvh.add_node(parent, depth);
-            let within = &mut order[range.clone()];
-            let axis = around(within).largest_axis();
-            let middle = |i: &u32| shapes[*i as usize].0.center()[axis];
-            let half = within.len() / 2;
-            within.select_nth_unstable_by(half, |a, b| middle(a).total_cmp(&middle(b)));
-            let half = range.start + half;
-            for (side, part) in [range.start..half, half..range.end].into_iter().enumerate() {
-                let row = first + 2 * side;
-                let leaf = if part.len() == 1 { LEAF | order[part.start] } else { 0 };
-                bvh.set_child(row, (leaf, around(&order[part.clone()])));
-                if part.len() > 1 {
-                    open.push((part, Some(row), depth + 1));
-                }
-            }
-        }
-        bvh
+    /// A hierarchy of least depth: boxes are joined with the next one in the order of a curve.
+    fn balanced(boxes: &[Aabb]) -> Bvh {
+        Bvh::flattened(&ploc(boxes, 0))
     }
 
     /// A single leaf, which is asked once: the second box is the first, and equal distances change nothing.
@@ -205,7 +174,7 @@ mod tests {
             if reference & LEAF != 0 {
                 let shape = (reference & !LEAF) as usize;
                 seen[shape] += 1;
-                let Aabb { min: a, max: b } = shapes[shape].0;
+                let Aabb { min: a, max: b } = shapes[shape];
                 assert!(Vec3::from(a).cmpge(min).all() && Vec3::from(b).cmple(max).all(), "{name}: {shape}");
                 continue;
             }
@@ -221,14 +190,16 @@ mod tests {
         assert_eq!(deepest, bvh.depth, "{name}");
     }
 
-    /// Shells within shells are joined one by one, which would be a walk's depth.
+    /// Shells within shells are joined one by one where neighbours have to agree, which would be a walk's depth.
     #[test]
     fn no_hierarchy_is_deeper_than_a_walk_remembers() {
-        let shell = |i| Sphere { radius: 1.05f32.powi(i), ..Default::default() };
-        let scene = CompiledScene { spheres: (0..300).map(shell).collect(), ..Default::default() };
-        let bvh = Bvh::new(&scene);
-        assert!(bvh.depth <= MOST_DEPTH, "{}", bvh.depth);
-        holds_every_shape_once("shells", &scene, &bvh);
+        for (count, growth) in [(300, 1.05f32), (20_000, 1.0005)] {
+            let shell = |i| Sphere { radius: growth.powi(i), ..Default::default() };
+            let scene = CompiledScene { spheres: (0..count).map(shell).collect(), ..Default::default() };
+            let bvh = Bvh::new(&scene);
+            assert!(bvh.depth <= MOST_DEPTH, "{count}: {}", bvh.depth);
+            holds_every_shape_once("shells", &scene, &bvh);
+        }
     }
 
     /// Threads share the work of building; what they build is the same.
@@ -246,11 +217,11 @@ mod tests {
     #[test]
     fn boxes_hold_points_of_their_shapes() {
         let sphere = Sphere { center: Vec3::new(1.0, -2.0, 3.0), radius: 0.5, ..Default::default() };
-        let Aabb { min, max } = sphere_bounds(&sphere).0;
+        let Aabb { min, max } = sphere_bounds(&sphere);
         assert!(min.y < -2.5 && max.z > 3.5 && min.x > 0.49 && max.x < 1.51);
         let quad =
             Quad { corner: Vec3::ONE, e1: Vec3::NEG_X, e2: Vec3::new(0.0, 2.0, 1.0), ..Default::default() };
-        let Aabb { min, max } = quad_bounds(&quad).0;
+        let Aabb { min, max } = quad_bounds(&quad);
         assert!(min.x < 0.0 && max.x > 1.0 && max.y > 3.0 && max.z > 2.0 && min.y < 1.0 && max.y < 3.01);
     }
 }

@@ -66,6 +66,7 @@ pub mod environment;
 pub mod light_tree;
 mod mesh;
 mod model;
+mod ploc;
 pub mod rows;
 pub mod shading;
 pub mod shapes;
