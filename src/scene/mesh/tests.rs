@@ -262,7 +262,10 @@ fn a_scene_finds_its_meshes_in_its_own_folder_and_nowhere_else() {
         (format!("file = '{outside}'"), "lies outside the scene's folder"),
         ("file = 'b.ply'".to_owned(), "file \"b.ply\" no such file"),
         ("file = 'meshes'".to_owned(), "is not a regular file"),
-        ("file = 'a.stl'".to_owned(), "has the extension \"stl\"; mesh files end in .glb, .gltf, .ply or .obj"),
+        (
+            "file = 'a.stl'".to_owned(),
+            "has the extension \"stl\"; mesh files end in .glb, .gltf, .ply or .obj",
+        ),
         ("file = 'short.ply'".to_owned(), "is not a whole PLY file"),
         ("scale = 1".to_owned(), "file is missing"),
         ("file = 'meshes/a.PLY'\nscale = -1".to_owned(), "scale -1 must be positive"),

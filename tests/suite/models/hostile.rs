@@ -370,7 +370,7 @@ proptest! {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 200_000, failure_persistence: None, ..Default::default() })]
+    #![proptest_config(ProptestConfig { cases: 60_000, failure_persistence: None, ..Default::default() })]
 
     #[test]
     #[ignore = "long: minutes of damaged models"]
