@@ -85,6 +85,7 @@ gpu_struct! {
         /// Chance that direct light asks the environment map, not a lamp.
         environment_share: f32,
         first_cluster_row: u32,
+        _pad0: u32,
     }
     /// What every ray reads comes first; rows.rs says where that ends.
     pub struct Sphere {

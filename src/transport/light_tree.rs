@@ -11,7 +11,7 @@ use glam::{Vec2, Vec3};
 
 /// Cosines that bounds leave: above 1.5e-3, by which roots of rounded numbers move the cosine of an angle. What is told to face
 /// away surely does.
-const LEAST_COSINE: f32 = 1.0 / 512.0;
+const LEAST_FACING: f32 = 1.0 / 512.0;
 /// So often a node's clusters are chosen evenly, whatever they send: none is as good as never chosen, and there are numbers that
 /// choose each.
 const EVEN_SHARE: f32 = 1.0 / 128.0;
@@ -66,7 +66,7 @@ fn sin_of(cosine: f32) -> f32 {
 /// A bound on a cosine, 0 where it is surely below the horizon.
 #[inline(always)]
 fn at_least(cosine: f32) -> f32 {
-    if cosine < -LEAST_COSINE { 0.0 } else { cosine.max(LEAST_COSINE) }
+    if cosine < -LEAST_FACING { 0.0 } else { cosine.max(LEAST_FACING) }
 }
 
 /// What `cluster` may send to `origin`, and to a surface there with that normal, 0 for none: strength over squared distance, by
