@@ -17,47 +17,34 @@ def cross(a, b):
     return tuple(a[i] * b[j] - a[j] * b[i] for i, j in ((1, 2), (2, 0), (0, 1)))
 
 
-def spline(points, steps, cyclic=False):
-    """A Catmull-Rom curve through `points` (tuples), `steps` pieces between neighbours: (point, tangent) each."""
-    count = len(points)
+def spline(points, steps):
+    """A Catmull-Rom curve through `points` (tuples), of `steps` pieces between neighbours."""
+    extended = lambda a, b: tuple(2 * x - y for x, y in zip(a, b))  # As if it went on straight.
+    points = [extended(*points[:2]), *points, extended(*points[: -3 : -1])]
 
-    def at(i):
-        if cyclic:
-            return points[i % count]
-        if i < 0:  # As if the curve went on straight.
-            return tuple(2 * a - b for a, b in zip(points[0], points[1]))
-        if i >= count:
-            return tuple(2 * a - b for a, b in zip(points[-1], points[-2]))
-        return points[i]
-
-    curve = []
-    for k in range((count if cyclic else count - 1) * steps + (0 if cyclic else 1)):
-        i, t = min(k // steps, count - (1 if cyclic else 2)), 0.0
-        t = k / steps - i
-        a, b, c, d = (at(i + j) for j in (-1, 0, 1, 2))
-        curve.append(
-            (
-                tuple(0.5 * (2 * q + (r - p) * t + (2 * p - 5 * q + 4 * r - s) * t * t + (3 * q - p - 3 * r + s) * t**3)
-                      for p, q, r, s in zip(a, b, c, d)),
-                tuple(0.5 * (r - p + 2 * (2 * p - 5 * q + 4 * r - s) * t + 3 * (3 * q - p - 3 * r + s) * t * t)
-                      for p, q, r, s in zip(a, b, c, d)),
-            )
+    def at(i, t):
+        around = zip(*points[i : i + 4])
+        return tuple(
+            0.5 * (2 * q + (r - p) * t + (2 * p - 5 * q + 4 * r - s) * t * t + (3 * q - p - 3 * r + s) * t**3)
+            for p, q, r, s in around
         )
-    return curve
+
+    curve = [at(i, k / steps) for i in range(len(points) - 3) for k in range(steps)]
+    return [*curve, points[-2]]
 
 
 def revolved(profile, around, steps):
     """Turns a profile of (radius, height) about y: it starts and ends on the axis and has the solid on its left, as a
     line has that goes outwards below and up outside."""
-    curve = spline(profile, steps)
+    curve = [(max(radius, 1e-4), height) for radius, height in spline(profile, steps)]
+    curve[0], curve[-1] = profile[0], profile[-1]
+    pieces = [unit([b - a for a, b in zip(*ends)]) for ends in zip(curve, curve[1:])]
     vertices, triangles = [], []
-    for j, ((radius, height), (dr, dy)) in enumerate(curve):
+    for j, (radius, height) in enumerate(curve):
+        # Between those of the two pieces that meet here; level on the axis.
+        dr, dy = (sum(d) for d in zip(*pieces[max(j - 1, 0) : j + 1]))
         axis = j in (0, len(curve) - 1)
-        radius = 0.0 if axis else max(radius, 1e-4)
-        # On the axis the surface is level.
-        out, up = (0.0, -1.0 if j == 0 else 1.0) if axis else unit((dy, -dr))
-        if axis and j > 0:
-            up = 1.0 if dr < 0 else -1.0
+        out, up = (0.0, -dr / abs(dr)) if axis else unit((dy, -dr))
         for i in range(around + 1):
             c, s = cos(2 * pi * i / around), -sin(2 * pi * i / around)
             if i == around:
