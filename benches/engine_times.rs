@@ -25,6 +25,9 @@ struct Arguments {
     size: Option<Vec<u32>>,
     #[arg(long, num_args = 1)]
     direct_light: Option<bool>,
+    /// Whether a tree chooses among many lights.
+    #[arg(long, num_args = 1)]
+    light_tree: Option<bool>,
     #[arg(long, num_args = 1)]
     roulette: Option<bool>,
     /// Low-discrepancy samples instead of independent ones.
@@ -100,6 +103,7 @@ fn run(arguments: &Arguments, path: &str, engine: &str) -> Result<(), Box<dyn st
     let options = RenderOptions {
         size: arguments.size.as_ref().map(|s| (s[0], s[1])),
         direct_light: arguments.direct_light,
+        light_tree: arguments.light_tree,
         roulette: arguments.roulette.map(|on| if on { Roulette::Throughput } else { Roulette::Off }),
         max_bounces: arguments.max_bounces,
         sampler: if arguments.stratified { Sampler::Stratified } else { Sampler::Independent },
@@ -127,7 +131,7 @@ fn run(arguments: &Arguments, path: &str, engine: &str) -> Result<(), Box<dyn st
         let mut file = std::fs::OpenOptions::new().create(true).append(true).open(file)?;
         let line = json!({
             "scene": scene.name, "engine": engine, "spp": arguments.spp, "max_bounces": arguments.max_bounces,
-            "direct_light": arguments.direct_light, "roulette": arguments.roulette, "stratified": arguments.stratified,
+            "direct_light": arguments.direct_light, "light_tree": arguments.light_tree, "roulette": arguments.roulette, "stratified": arguments.stratified,
             "pool": arguments.pool, "size": arguments.size, "gpu_ms": row.gpu_ms, "wall_ms": row.wall_ms,
             "paths": row.paths, "stats": row.stats,
         });

@@ -228,19 +228,19 @@ fn material_kind(fields: &Fields<'_>) -> Result<MaterialKind, Fault> {
             })
         }
         "metal" => {
-            fields.only(&["type", "color", "roughness", "emission"])?;
-            Ok(MaterialKind::Metal { color: fields.need("color")?, roughness: fields.need("roughness")? })
+            only_of_material(fields, &["color", "roughness"])?;
+            Ok(MaterialKind::Metal { color: color(fields)?, roughness: fields.need("roughness")? })
         }
         "metallic-roughness" => {
-            fields.only(&["type", "color", "metallic", "roughness", "emission"])?;
+            only_of_material(fields, &["color", "metallic", "roughness"])?;
             Ok(MaterialKind::MetallicRoughness {
-                color: fields.need("color")?,
+                color: color(fields)?,
                 metallic: fields.need("metallic")?,
                 roughness: fields.need("roughness")?,
             })
         }
         "rough-dielectric" => {
-            fields.only(&["type", "tint", "ior", "roughness", "emission"])?;
+            only_of_material(fields, &["tint", "ior", "roughness"])?;
             Ok(MaterialKind::RoughDielectric {
                 tint: fields.get("tint")?.unwrap_or(DVec3::ONE),
                 ior: fields.need("ior")?,

@@ -3,6 +3,7 @@
 
 mod accessors;
 mod builder;
+mod chess;
 mod hostile;
 mod materials;
 mod textures;
