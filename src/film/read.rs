@@ -24,13 +24,23 @@ const FREE_BYTES: usize = 1 << 24;
 /// The content decides, not the name.
 pub fn read_image(path: &Path) -> Result<Image, ImageError> {
     let bytes = read_bytes(path).map_err(|source| ImageError::Read { path: path.into(), source })?;
+    decode(&bytes).map_err(|error| explain(path, error))
+}
+
+impl Image {
+    /// Decodes what [`read_image`] reads from files.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Image, ImageError> {
+        decode(bytes).map_err(|error| explain(Path::new("memory"), error))
+    }
+}
+
+fn decode(bytes: &[u8]) -> Result<Image, DecodeError> {
     let decode = || {
-        if bytes.starts_with(&EXR_MAGIC) { decode_exr(&bytes) } else { decode_other(&bytes) }
+        if bytes.starts_with(&EXR_MAGIC) { decode_exr(bytes) } else { decode_other(bytes) }
     };
     // Decoders of others may panic on what their authors have not thought of.
-    let outcome = catch_unwind(AssertUnwindSafe(decode))
-        .unwrap_or_else(|_| Err(DecodeError::Damaged("it is damaged".to_string())));
-    outcome.map_err(|error| explain(path, error))
+    catch_unwind(AssertUnwindSafe(decode))
+        .unwrap_or_else(|_| Err(DecodeError::Damaged("it is damaged".to_string())))
 }
 
 /// Devices and pipes may have no end.

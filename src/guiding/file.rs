@@ -47,6 +47,15 @@ enum Fault {
     Newer(u32),
 }
 
+impl Fault {
+    fn in_file(self, path: &Path) -> GuideFileError {
+        match self {
+            Fault::Damaged(reason) => GuideFileError::Damaged { path: path.into(), reason },
+            Fault::Newer(version) => GuideFileError::Newer { path: path.into(), version },
+        }
+    }
+}
+
 fn damaged<T>(reason: impl Into<String>) -> Result<T, Fault> {
     Err(Fault::Damaged(reason.into()))
 }
@@ -182,10 +191,12 @@ impl Learner {
     /// Reads what was learnt before. Options that the file does not say have their defaults; see [`Learner::resumed`].
     pub fn load(path: &Path) -> Result<Learner, GuideFileError> {
         let bytes = read_file(path).map_err(|source| GuideFileError::Read { path: path.into(), source })?;
-        from_bytes(&bytes).map_err(|fault| match fault {
-            Fault::Damaged(reason) => GuideFileError::Damaged { path: path.into(), reason },
-            Fault::Newer(version) => GuideFileError::Newer { path: path.into(), version },
-        })
+        from_bytes(&bytes).map_err(|fault| fault.in_file(path))
+    }
+
+    /// Reads the bytes of such a file.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Learner, GuideFileError> {
+        from_bytes(bytes).map_err(|fault| fault.in_file(Path::new("memory")))
     }
 
     fn to_bytes(&self) -> Vec<u8> {

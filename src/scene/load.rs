@@ -75,6 +75,15 @@ impl Scene {
     pub fn from_json(text: &str) -> Result<Self, SceneError> {
         description::scene(&Node::from_json(not_empty(text)?)?, None)
     }
+
+    /// Reads and validates a glTF 2.0 model that lies in memory, `.glb` or `.gltf` by its first bytes, as [`load`](Self::load)
+    /// does a file. It has no folder in which to look for buffers and images, so `data:` URIs and the chunk of a `.glb` are all.
+    ///
+    /// # Errors
+    /// Those of [`load`](Self::load) for models.
+    pub fn from_gltf(name: impl Into<String>, bytes: &[u8]) -> Result<Self, SceneError> {
+        model::gltf_in_memory(name.into(), bytes)
+    }
 }
 
 /// The text without a byte-order mark.
@@ -127,6 +136,20 @@ pub(super) fn io_problem(error: &std::io::Error) -> String {
         ErrorKind::NotFound => "no such file; check the path".to_owned(),
         ErrorKind::PermissionDenied => "can't be read: permission denied; check its mode".to_owned(),
         _ => format!("can't be read: {error}"),
+    }
+}
+
+/// Refuses images whose header promises more than so many bytes of file can hold, before anything is allocated. No compression
+/// of real images exceeds the share (deflate reaches 1032); small ones are always allowed.
+pub(super) fn plausible_image(file_bytes: usize, width: u32, height: u32, texel_bytes: u64) -> Result<(), String> {
+    const MOST_EXPANSION: u64 = 1 << 12;
+    const ALWAYS: u64 = 1 << 24;
+    let needed = u64::from(width) * u64::from(height) * texel_bytes;
+    match needed <= ALWAYS + (file_bytes as u64).saturating_mul(MOST_EXPANSION) {
+        true => Ok(()),
+        false => Err(format!(
+            "is {width} x {height}, more than its {file_bytes} bytes can hold; it is cut short or damaged, write it anew"
+        )),
     }
 }
 

@@ -95,7 +95,7 @@ use glam::DVec3;
 pub use builder::SceneBuilder;
 pub use environment::EnvironmentMap;
 pub use error::{Place, SceneError};
-pub use mesh::{Mesh, MeshData, Placement, Repairs};
+pub use mesh::{Mesh, MeshData, MeshFormat, Placement, Repairs};
 pub use texture::{MaterialTextures, Texture, TextureRef, Wrap};
 pub use validate::check_image_size;
 pub use warning::SceneWarning;

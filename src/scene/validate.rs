@@ -5,7 +5,7 @@ use std::collections::HashSet;
 use glam::DVec3;
 
 use super::error::{Fault, quoted};
-use super::texture::check_size;
+use super::texture::{check_size, check_sum};
 use super::{
     Camera, Defaults, EnvironmentMap, Geometry, Material, MaterialKind, Placement, Scene, SceneError, Shape,
     Texture,
@@ -54,6 +54,7 @@ impl Scene {
         for (index, item) in self.textures.iter().enumerate() {
             named(&format!("textures[{index}] {}", quoted(&item.name)), texture(item))?;
         }
+        named("scene", check_sum(&self.textures))?;
         for item in &self.materials {
             named(&material_label(&item.name), textures_exist(item, self.textures.len()))?;
         }

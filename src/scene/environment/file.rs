@@ -13,7 +13,7 @@ use image::codecs::hdr::HdrDecoder;
 use super::{EnvironmentMap, check_size};
 use crate::scene::SceneError;
 use crate::scene::error::quoted;
-use crate::scene::load::{io_problem, within_folder};
+use crate::scene::load::{io_problem, plausible_image, within_folder};
 
 /// Larger files are refused unread: 2²³ texels of 16 bytes, eight such layers.
 const LARGEST_FILE: u64 = 1 << 30;
@@ -30,6 +30,15 @@ impl EnvironmentMap {
     pub fn load(path: impl AsRef<Path>) -> Result<Self, SceneError> {
         let path = path.as_ref();
         read(path).map_err(|problem| SceneError::File { path: path.to_owned(), problem })
+    }
+
+    /// Decodes such a file that lies in memory.
+    ///
+    /// # Errors
+    /// What is of another kind, truncated or malformed, and everything that [`new`](Self::new) refuses; says what is wrong and
+    /// the remedy.
+    pub fn from_bytes(encoded: &[u8]) -> Result<Self, String> {
+        decode(encoded)
     }
 }
 
@@ -79,6 +88,7 @@ fn decode_radiance(bytes: &[u8]) -> Result<EnvironmentMap, String> {
     let decoder = HdrDecoder::new_nonstrict(Cursor::new(bytes)).map_err(damaged)?;
     let (width, height) = decoder.dimensions();
     check_size(width.into(), height.into())?;
+    plausible_image(bytes.len(), width, height, size_of::<[f32; 3]>() as u64)?;
     let mut texels = vec![[0f32; 3]; width as usize * height as usize];
     decoder.read_image(bytemuck::cast_slice_mut(&mut texels)).map_err(damaged)?;
     EnvironmentMap::checked(width, height, texels)
@@ -87,7 +97,9 @@ fn decode_radiance(bytes: &[u8]) -> Result<EnvironmentMap, String> {
 fn decode_exr(bytes: &[u8]) -> Result<EnvironmentMap, String> {
     let meta = MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(damaged)?;
     for header in &meta.headers {
-        check_size(header.layer_size.width() as u64, header.layer_size.height() as u64)?;
+        let (width, height) = (header.layer_size.width(), header.layer_size.height());
+        check_size(width as u64, height as u64)?;
+        plausible_image(bytes.len(), width as u32, height as u32, size_of::<[f32; 3]>() as u64)?;
     }
     let image = exr::prelude::read()
         .no_deep_data()

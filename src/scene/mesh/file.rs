@@ -23,6 +23,14 @@ impl MeshData {
         read(path).map_err(|problem| SceneError::File { path: path.to_owned(), problem })
     }
 
+    /// Reads a mesh file that lies in memory.
+    ///
+    /// # Errors
+    /// What is truncated or malformed; says what is wrong and the remedy.
+    pub fn from_bytes(format: MeshFormat, bytes: &[u8]) -> Result<Self, String> {
+        parse(format, bytes, bytes.len() as u64)
+    }
+
     /// The same, with what is wrong and the remedy alone.
     pub(in crate::scene) fn load_plain(path: &Path) -> Result<Self, String> {
         read(path)
@@ -60,8 +68,8 @@ fn read(path: &Path) -> Result<MeshData, String> {
     let length = length_of(path)?;
     let open = || File::open(path).map_err(|error| io_problem(&error));
     match path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase().as_str() {
-        "ply" => parse(Format::Ply, open()?, length),
-        "obj" => parse(Format::Obj, open()?, length),
+        "ply" => parse(MeshFormat::Ply, open()?, length),
+        "obj" => parse(MeshFormat::Obj, open()?, length),
         "" => Err("has no extension; mesh files end in .glb, .gltf, .ply or .obj".to_owned()),
         other => {
             Err(format!("has the extension {}; mesh files end in .glb, .gltf, .ply or .obj", quoted(other)))
@@ -69,17 +77,20 @@ fn read(path: &Path) -> Result<MeshData, String> {
     }
 }
 
-#[derive(Clone, Copy)]
-pub(super) enum Format {
+/// Formats of files of one mesh.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MeshFormat {
+    /// Polygon files (`.ply`), text or binary in either byte order.
     Ply,
+    /// Wavefront OBJ.
     Obj,
 }
 
 /// Reads a mesh of at most `length` bytes, which bounds what is allocated.
-pub(super) fn parse(format: Format, source: impl Read, length: u64) -> Result<MeshData, String> {
+pub(super) fn parse(format: MeshFormat, source: impl Read, length: u64) -> Result<MeshData, String> {
     let source = BufReader::with_capacity(1 << 16, source.take(length));
     match format {
-        Format::Ply => ply::read(source, length),
-        Format::Obj => obj::read(source),
+        MeshFormat::Ply => ply::read(source, length),
+        MeshFormat::Obj => obj::read(source),
     }
 }

@@ -13,6 +13,7 @@ use glam::{DVec3, Vec3};
 
 use super::triangle::{SMALLEST_SQUARE, double_area};
 
+pub use file::MeshFormat;
 pub use placement::Placement;
 
 /// Coordinates beyond which products of areas would overflow an f32.

@@ -27,15 +27,47 @@ pub(super) fn read(mut source: impl BufRead) -> Result<MeshData, String> {
     Ok(data)
 }
 
-/// Without comments behind what a line says, and with lines that go on in the next joined to it: tobj takes neither.
+/// Objects that are kept apart; those behind are one with the last.
+const MOST_OBJECTS: usize = 1 << 16;
+
+/// What makes corners and faces, without comments behind it and with lines that go on in the next joined to it, which tobj does
+/// not take. The rest would only take memory, and names of materials that are not there make tobj refuse a file.
 fn plain_lines(text: &str) -> String {
-    let joined = text.replace("\\\r\n", " ").replace("\\\n", " ");
-    let mut plain = String::with_capacity(joined.len());
-    for line in joined.lines() {
-        plain.push_str(line.split('#').next().unwrap_or_default());
-        plain.push('\n');
+    let mut plain = String::with_capacity(text.len() + 1);
+    let mut objects = 0;
+    let mut lines = text.lines();
+    while let Some(line) = lines.next() {
+        let begin = plain.len();
+        let mut rest = line;
+        while let Some(head) = rest.strip_suffix('\\') {
+            plain.extend([head, " "]);
+            rest = lines.next().unwrap_or_default();
+        }
+        plain.push_str(rest);
+        let end = plain[begin..].find('#').map_or(plain.len(), |length| begin + length);
+        plain.truncate(end);
+        if is_read(&plain[begin..], &mut objects) {
+            plain.push('\n');
+        } else {
+            plain.truncate(begin);
+        }
     }
     plain
+}
+
+/// Whether a line says anything about triangles.
+fn is_read(line: &str, objects: &mut usize) -> bool {
+    let mut words = line.split_whitespace();
+    match words.next().unwrap_or_default() {
+        "v" | "vt" | "vn" => true,
+        // Fewer corners make points and lines.
+        "f" => words.nth(2).is_some(),
+        "o" | "g" => {
+            *objects += 1;
+            *objects <= MOST_OBJECTS
+        }
+        _ => false,
+    }
 }
 
 /// Adds one object. Where some objects have normals and others do not, those others get none that is a direction; texture

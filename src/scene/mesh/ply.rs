@@ -22,34 +22,57 @@ pub(super) fn read(source: impl BufRead, length: u64) -> Result<MeshData, String
                 if !["x", "y", "z"].iter().all(|axis| element.properties.contains_key(*axis)) {
                     return Err("has vertices without x, y and z; write it with all three".to_owned());
                 }
-                let vertices: Vec<Vertex> = elements(&mut source, element, &header)?;
-                data.positions = vertices.iter().map(|vertex| vertex.position).collect();
-                if ["nx", "ny", "nz"].iter().all(|axis| element.properties.contains_key(*axis)) {
-                    data.normals = vertices.iter().map(|vertex| vertex.normal).collect();
-                }
-                let has = |pair: &[&str; 2]| pair.iter().all(|name| element.properties.contains_key(*name));
-                if UV_NAMES.iter().any(has) {
-                    // Upwards from the lower edge of the image, as is usual in files of this format.
-                    data.uvs = vertices.iter().map(|vertex| [vertex.uv[0], 1.0 - vertex.uv[1]]).collect();
-                }
+                vertices(&mut data, &mut source, element, &header)?;
             }
-            "face" => {
-                let faces: Vec<Face> = elements(&mut source, element, &header)?;
-                data.triangles = faces.iter().flat_map(|face| fan(&face.corners)).collect();
-            }
-            _ => drop::<Vec<Skipped>>(elements(&mut source, element, &header)?),
+            "face" => in_parts(&mut source, element, &header, |faces: Vec<Face>| {
+                data.triangles.extend(faces.iter().flat_map(|face| fan(&face.corners)));
+            })?,
+            _ => in_parts(&mut source, element, &header, drop::<Vec<Skipped>>)?,
         }
     }
     Ok(data)
 }
 
-/// All elements of a kind.
-fn elements<E: PropertyAccess>(
+fn vertices(
+    data: &mut MeshData,
     source: &mut Reader<impl BufRead>,
     element: &ElementDef,
     header: &Header,
-) -> Result<Vec<E>, String> {
-    Parser::<E>::new().read_payload_for_element(source, element, header).map_err(malformed)
+) -> Result<(), String> {
+    let has_all = |names: &[&str]| names.iter().all(|name| element.properties.contains_key(*name));
+    let has_normals = has_all(&["nx", "ny", "nz"]);
+    let has_uvs = UV_NAMES.iter().any(|pair| has_all(pair));
+    in_parts(source, element, header, |part: Vec<Vertex>| {
+        data.positions.extend(part.iter().map(|vertex| vertex.position));
+        if has_normals {
+            data.normals.extend(part.iter().map(|vertex| vertex.normal));
+        }
+        if has_uvs {
+            // Upwards from the lower edge of the image, as is usual in files of this format.
+            data.uvs.extend(part.iter().map(|vertex| [vertex.uv[0], 1.0 - vertex.uv[1]]));
+        }
+    })
+}
+
+/// Elements that are read at once: what the parser makes of them takes many times their bytes in the file.
+const PART: usize = 1 << 14;
+
+/// Reads all elements of a kind, some at a time.
+fn in_parts<E: PropertyAccess>(
+    source: &mut Reader<impl BufRead>,
+    element: &ElementDef,
+    header: &Header,
+    mut take: impl FnMut(Vec<E>),
+) -> Result<(), String> {
+    let parser = Parser::new();
+    let mut part = element.clone();
+    let mut left = element.count;
+    while left > 0 {
+        part.count = left.min(PART);
+        take(parser.read_payload_for_element(source, &part, header).map_err(malformed)?);
+        left -= part.count;
+    }
+    Ok(())
 }
 
 fn malformed(error: ParseError) -> String {

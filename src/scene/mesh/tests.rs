@@ -6,7 +6,7 @@ use std::path::Path;
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 
-use super::file::{Format, parse};
+use super::file::{MeshFormat, parse};
 use super::{Mesh, MeshData, Placement, Repairs};
 use crate::scene::{Material, Scene, SceneBuilder};
 
@@ -77,17 +77,17 @@ fn binary_ply(big_endian: bool) -> Vec<u8> {
     bytes
 }
 
-fn read(format: Format, bytes: &[u8]) -> Result<MeshData, String> {
+fn read(format: MeshFormat, bytes: &[u8]) -> Result<MeshData, String> {
     parse(format, bytes, bytes.len() as u64)
 }
 
 /// All forms of the same mesh.
-fn forms() -> [(Format, Vec<u8>); 4] {
+fn forms() -> [(MeshFormat, Vec<u8>); 4] {
     [
-        (Format::Ply, PLY.as_bytes().to_vec()),
-        (Format::Ply, binary_ply(false)),
-        (Format::Ply, binary_ply(true)),
-        (Format::Obj, OBJ.as_bytes().to_vec()),
+        (MeshFormat::Ply, PLY.as_bytes().to_vec()),
+        (MeshFormat::Ply, binary_ply(false)),
+        (MeshFormat::Ply, binary_ply(true)),
+        (MeshFormat::Obj, OBJ.as_bytes().to_vec()),
     ]
 }
 
@@ -113,23 +113,23 @@ fn every_form_of_a_file_gives_the_same_mesh() {
 #[test]
 fn a_byte_order_mark_hides_no_line() {
     let corners = &OBJ[OBJ.find("v -1").unwrap()..];
-    let marked = read(Format::Obj, format!("\u{feff}{corners}").as_bytes()).unwrap();
-    assert_eq!(marked, read(Format::Obj, corners.as_bytes()).unwrap());
+    let marked = read(MeshFormat::Obj, format!("\u{feff}{corners}").as_bytes()).unwrap();
+    assert_eq!(marked, read(MeshFormat::Obj, corners.as_bytes()).unwrap());
     assert_eq!(marked.positions[0], DVec3::new(-1.0, 0.0, -1.0));
 }
 
 #[test]
 fn comments_behind_and_lines_that_go_on_change_nothing() {
-    let plain = read(Format::Obj, OBJ.as_bytes()).unwrap();
+    let plain = read(MeshFormat::Obj, OBJ.as_bytes()).unwrap();
     let odd = OBJ.replace("f 1 2 3 4", "f 1 2 \\\n3 4 # the base").replace("f 1 5 2", "f 1 \\\r\n5 2#side");
-    assert_eq!(read(Format::Obj, odd.as_bytes()), Ok(plain));
+    assert_eq!(read(MeshFormat::Obj, odd.as_bytes()), Ok(plain));
 }
 
 #[test]
 fn vertices_without_a_coordinate_are_refused() {
     for axis in ["x", "y", "z"] {
         let text = PLY.replace(&format!(" {axis}\n"), " w\n");
-        let problem = read(Format::Ply, text.as_bytes()).unwrap_err();
+        let problem = read(MeshFormat::Ply, text.as_bytes()).unwrap_err();
         assert!(problem.contains("without x, y and z"), "{problem}");
     }
 }
@@ -224,7 +224,7 @@ fn headers_that_promise_what_the_file_does_not_hold_are_refused_before_anything_
     let faces = huge("face 5", "face 4000000000");
     let nothing = huge("element face", "element dust 4000000000\nelement face");
     for bytes in vertices.into_iter().chain(faces).chain(nothing) {
-        let error = read(Format::Ply, &bytes).unwrap_err();
+        let error = read(MeshFormat::Ply, &bytes).unwrap_err();
         assert!(error.ends_with("write it anew"), "{error}");
     }
 }
@@ -282,7 +282,7 @@ fn a_scene_finds_its_meshes_in_its_own_folder_and_nowhere_else() {
 }
 
 /// What is read is a mesh or refused, with words.
-fn check(format: Format, bytes: &[u8]) {
+fn check(format: MeshFormat, bytes: &[u8]) {
     match read(format, bytes) {
         Ok(data) => drop(Mesh::new(&data).map_err(|problem| assert!(!problem.is_empty()))),
         Err(problem) => assert!(!problem.is_empty()),
@@ -328,8 +328,8 @@ proptest! {
 
     #[test]
     fn no_bytes_panic(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
-        check(Format::Ply, &bytes);
-        check(Format::Obj, &bytes);
-        check(Format::Ply, &[b"ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\nend_header\n", &bytes[..]].concat());
+        check(MeshFormat::Ply, &bytes);
+        check(MeshFormat::Obj, &bytes);
+        check(MeshFormat::Ply, &[b"ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\nend_header\n", &bytes[..]].concat());
     }
 }

@@ -18,7 +18,7 @@ use rayon::prelude::*;
 use super::mesh::{Placement, file};
 use super::{Geometry, Material, Mesh, MeshData, Shape, Texture};
 use findings::Findings;
-pub(super) use whole::load as load_whole;
+pub(super) use whole::{gltf_in_memory, load as load_whole};
 
 /// What a file holds.
 #[derive(Debug, Default)]

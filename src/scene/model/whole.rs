@@ -4,8 +4,8 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use super::{LampKind, Model, ModelCamera, NOTHING_TO_SHOW};
-use crate::scene::error::{quoted, suggestion};
+use super::{LampKind, Model, ModelCamera, NOTHING_TO_SHOW, gltf};
+use crate::scene::error::{Fault, quoted, suggestion};
 use crate::scene::mesh::Placement;
 use crate::scene::{Camera, Defaults, Geometry, Scene, SceneError, SceneWarning, Shape};
 
@@ -26,6 +26,14 @@ pub(in crate::scene) fn load(path: &Path, camera: Option<&str>) -> Result<Scene,
     let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let scene = Model::load(path).and_then(|model| whole(model, name, camera)).map_err(refuse)?;
     scene.validate().map_err(|error| error.in_file(path))?;
+    Ok(scene)
+}
+
+/// Reads bytes of glTF as a scene, seen by its first camera.
+pub(in crate::scene) fn gltf_in_memory(name: String, bytes: &[u8]) -> Result<Scene, SceneError> {
+    let refuse = |problem: String| Fault::from(problem).of(&format!("model {}", quoted(&name)), None);
+    let scene = gltf::read(bytes, None).and_then(|model| whole(model, name.clone(), None)).map_err(refuse)?;
+    scene.validate()?;
     Ok(scene)
 }
 

@@ -1,16 +1,16 @@
 //! Textures from PNG and JPEG, by `image`.
 
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::{BufRead, BufReader, Cursor, Seek};
+use std::io::Cursor;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
 use image::{ImageFormat, ImageReader};
 
-use super::{LONGEST_SIDE, MOST_TEXELS, Texture};
+use super::{LONGEST_SIDE, MOST_TEXELS, Texture, check_sum};
 use crate::scene::SceneError;
 use crate::scene::error::quoted;
-use crate::scene::load::{io_problem, within_folder};
+use crate::scene::load::{io_problem, plausible_image, within_folder};
 
 /// Larger files are refused unread.
 const LARGEST_FILE: u64 = 256 << 20;
@@ -32,7 +32,7 @@ impl Texture {
     /// # Errors
     /// What is neither or damaged, and sizes as for [`load`](Self::load); says what is wrong and the remedy.
     pub fn from_bytes(name: impl Into<String>, encoded: &[u8]) -> Result<Self, String> {
-        decode(ImageReader::new(Cursor::new(encoded)), name.into())
+        decode(encoded, name.into())
     }
 }
 
@@ -57,6 +57,7 @@ impl<'a> TextureFiles<'a> {
         }
         let texture = read(&path, name.to_owned()).map_err(|problem| format!("{file} {problem}"))?;
         self.all.push(texture);
+        check_sum(&self.all)?;
         self.numbers.insert(path, self.all.len() - 1);
         Ok(self.all.len() - 1)
     }
@@ -75,12 +76,18 @@ fn read(path: &Path, name: String) -> Result<Texture, String> {
         "" => return Err("has no extension; textures end in .png or .jpg".to_owned()),
         other => return Err(format!("has the extension {}; textures end in .png or .jpg", quoted(other))),
     }
-    let file = File::open(path).map_err(|error| io_problem(&error))?;
-    decode(ImageReader::new(BufReader::new(file)), name)
+    decode(&std::fs::read(path).map_err(|error| io_problem(&error))?, name)
+}
+
+fn decode(encoded: &[u8], name: String) -> Result<Texture, String> {
+    // Decoders of others may panic on what their authors have not thought of.
+    catch_unwind(AssertUnwindSafe(|| decode_small(encoded, name)))
+        .unwrap_or_else(|_| Err("is damaged; write it anew as PNG or JPEG".to_owned()))
 }
 
 /// Decodes what is small enough by its header.
-fn decode<R: BufRead + Seek>(source: ImageReader<R>, name: String) -> Result<Texture, String> {
+fn decode_small(encoded: &[u8], name: String) -> Result<Texture, String> {
+    let source = ImageReader::new(Cursor::new(encoded));
     let mut reader = source.with_guessed_format().map_err(|error| io_problem(&error))?;
     if !matches!(reader.format(), Some(ImageFormat::Png | ImageFormat::Jpeg)) {
         return Err("is neither PNG nor JPEG; convert it".to_owned());
@@ -94,6 +101,7 @@ fn decode<R: BufRead + Seek>(source: ImageReader<R>, name: String) -> Result<Tex
     let decoder = reader.into_decoder().map_err(|error| damaged(&error))?;
     let (width, height) = image::ImageDecoder::dimensions(&decoder);
     check_size(width, height)?;
+    plausible_image(encoded.len(), width, height, 4)?;
     let decoded = image::DynamicImage::from_decoder(decoder).map_err(|error| damaged(&error))?;
     Ok(Texture::new(name, width, height, decoded.into_rgba8().into_raw()))
 }

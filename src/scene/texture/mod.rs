@@ -10,6 +10,8 @@ pub(super) use file::{TextureFiles, check_size};
 pub(super) const LONGEST_SIDE: u32 = 16_384;
 /// Texels of an image at most: 256 MiB.
 pub(super) const MOST_TEXELS: u64 = 1 << 26;
+/// Texels that a scene may have in all: 1 GiB.
+const MOST_IN_ALL: u64 = 1 << 28;
 
 /// An image for surfaces; cheap to clone. What takes it says how its numbers are meant: colours are sRGB, everything else is
 /// linear.
@@ -29,6 +31,15 @@ impl Texture {
     /// An image of that size. Nothing is checked before a scene takes it in.
     pub fn new(name: impl Into<String>, width: u32, height: u32, rgba: impl Into<Arc<[u8]>>) -> Self {
         Self { name: name.into(), width, height, rgba: rgba.into() }
+    }
+}
+
+/// Whether all textures of a scene together are small enough.
+pub(super) fn check_sum(textures: &[Texture]) -> Result<(), String> {
+    let texels = |texture: &Texture| u64::from(texture.width) * u64::from(texture.height);
+    match textures.iter().map(texels).sum::<u64>() <= MOST_IN_ALL {
+        true => Ok(()),
+        false => Err(format!("has textures of more than {MOST_IN_ALL} texels (1 GiB) together; reduce them")),
     }
 }
 

@@ -10,12 +10,11 @@ use ::gltf::json::{Index, Root};
 use super::accessor::view_bytes;
 use super::buffers::{Buffers, from_uri};
 use crate::scene::model::findings::Findings;
+use crate::scene::texture::check_sum;
 use crate::scene::{Texture, TextureRef, Wrap};
 
 /// Bytes of an image file that are read.
 const LONGEST_FILE: u64 = 256 << 20;
-/// Texels that a model may have in all, 1 GiB.
-const MOST_TEXELS: u64 = 1 << 28;
 
 /// The images of a file, each decoded once, when a material asks for it.
 pub(super) struct Images<'a> {
@@ -73,12 +72,9 @@ impl<'a> Images<'a> {
                 None
             }
         };
-        let texels = |texture: &Texture| u64::from(texture.width) * u64::from(texture.height);
-        if self.all.iter().chain(&decoded).map(texels).sum::<u64>() > MOST_TEXELS {
-            return Err(format!("has textures of more than {MOST_TEXELS} texels together; reduce them"));
-        }
         let number = decoded.is_some().then_some(self.all.len());
         self.all.extend(decoded);
+        check_sum(&self.all)?;
         self.known.insert(image, number);
         Ok(number)
     }
