@@ -288,6 +288,12 @@ impl CompiledScene {
         !self.lights.is_empty() || self.sky.is_some()
     }
 
+    /// Radiance that the material emits on average over its texture, of all channels together.
+    pub fn mean_emission(&self, material: u32) -> f64 {
+        let emission = self.materials[material as usize].emission * self.surfaces.mean_emission(material);
+        emission.as_dvec3().element_sum()
+    }
+
     /// Every emitting shape, chosen with probability proportional to its power.
     fn find_lights(&mut self) {
         let CompiledScene { spheres, quads, triangles, materials, lights, surfaces, .. } = self;

@@ -115,8 +115,7 @@ fn lamps(scene: &CompiledScene) -> Vec<Lamp> {
                     (bounds, 0.5 * area)
                 }
             };
-            let emission = scene.materials[light.material as usize].emission.as_dvec3().element_sum();
-            (bounds, emission * area)
+            (bounds, scene.mean_emission(light.material) * area)
         })
         .collect();
     let total: f64 = bounds.iter().map(|(_, strength)| strength).sum();

@@ -131,7 +131,8 @@ fn bent_for(normal: Vec3, facing: Vec3, wo: Vec3) -> Vec3 {
     }
     let lifted = reflected + facing * (least - height);
     let half = wo + lifted / lifted.dot(lifted).max(SMALLEST_SQUARE).sqrt();
-    half.normalize()
+    let square = half.dot(half);
+    if square > SMALLEST_SQUARE { half / square.sqrt() } else { facing }
 }
 
 /// The shading normal for a viewer towards `wo` on the side of `facing`, the shape's normal turned to the viewer. A Lambertian

@@ -30,7 +30,7 @@ pub struct LightChoice<'a> {
 }
 
 /// A light for a surface at `origin`. `normal` points to the side from which light may come, 0 if it may come from both; `u` in
-/// [0, 1)². By power where there is no tree.
+/// [0, 1)², the second number to within rounding of 1. By power where there is no tree.
 #[inline(always)]
 pub fn choose_light(scene: &CompiledScene, origin: Vec3, normal: Vec3, u: Vec2) -> LightChoice<'_> {
     if scene.light_tree.is_none() {

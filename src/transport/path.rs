@@ -3,7 +3,7 @@
 
 use super::guide::{Guidance, GuidePoint};
 use super::items::{RayItem, ShadowItem};
-use super::light::{choose_light, light_probability, pdf_light, sample_light};
+use super::light::{LightChoice, choose_light, light_probability, pdf_light, sample_light};
 use super::roulette::Roulette;
 use super::split::{SEED_SHIFT, Share, bounce_of, budget_of, copies_of, pack_bounce, share_of};
 use crate::accel::Search;
@@ -261,12 +261,13 @@ impl<'a> Transport<'a> {
         let both_sides = material.kind == KIND_ROUGH_DIELECTRIC;
         let lit_side = if both_sides { Vec3::ZERO } else { normal };
         let choice = choose_light(self.scene, origin, lit_side, draws);
-        let light = choice.light;
+        let LightChoice { light, mut weighing, .. } = choice;
         let mut towards = sample_light(self.scene, origin, light.shape, u.yz());
         if both_sides && towards.wi.dot(facing) < 0.0 {
             // Through the surface it leaves from its other side.
             origin = spawn_ray(surface, -facing).origin;
             towards = sample_light(self.scene, origin, light.shape, u.yz());
+            weighing = light_probability(self.scene, origin, shape_info(self.scene, light.shape).light);
         }
         let pdf = share * choice.probability * towards.pdf;
         if pdf <= 0.0 || !keeps_side(normal, facing, towards.wi) {
@@ -283,7 +284,7 @@ impl<'a> Transport<'a> {
                 textured_emission(self.scene, light.material, lit)
             }
         };
-        let weight = mis_weight(share * choice.weighing * towards.pdf, bsdf.pdf);
+        let weight = mis_weight(share * weighing * towards.pdf, bsdf.pdf);
         Some(ShadowItem {
             origin,
             t_max: towards.t * SHADOW_END,

@@ -31,7 +31,7 @@ fn lamp_power(scene: &CompiledScene, shape: u32, material: u32) -> f64 {
             0.5 * f64::from(double_area(triangle.a, triangle.b, triangle.c).length())
         }
     };
-    scene.materials[material as usize].emission.as_dvec3().element_sum() * area
+    scene.mean_emission(material) * area
 }
 
 /// Half the diagonal of the box about all shapes.
