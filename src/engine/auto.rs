@@ -33,7 +33,7 @@ pub fn preferred_engine(scene: &CompiledScene, key: &KernelKey, options: &Render
 /// | still-life (7) | 99.0 | 79.7 | 66.1 | 71.3 |
 /// | interior (7) | 38.3 | 35.9 | 29.6 | 34.0 |
 /// | chess model (3) | 42.3 | 37.3 | 31.7 | 33.3 |
-/// | glass-shelf (3, no mesh; without direct light) | – | 91.3 | 134.1 | 188.3 |
+/// | glass-shelf (4, no mesh; neither roulette nor direct light) | 94.3 | 91.3 | 134.1 | 188.3 |
 ///
 /// A render that learns was not measured so, and a grain is a number of levels of the fused kernel.
 pub fn preferred_schedule(key: &KernelKey, options: &RenderOptions) -> Schedule {
