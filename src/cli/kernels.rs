@@ -1,7 +1,7 @@
 //! `--dump-kernels`: the linked WGSL of a scene's kernels as files, to be read. No GPU takes part.
 
 use super::failure::Failure;
-use qtracer::engine::preferred_engine;
+use qtracer::engine::{preferred_engine, preferred_schedule};
 use qtracer::gpu::key::KernelKey;
 use qtracer::gpu::link::link;
 use qtracer::gpu::stage::Stage;
@@ -14,7 +14,7 @@ use std::path::Path;
 pub fn dump(folder: &Path, scene: &Scene, options: &RenderOptions) -> Result<String, Failure> {
     let compiled = CompiledScene::new(scene);
     let key = KernelKey::new(&compiled, &options.estimators(scene));
-    let schedule = options.schedule.unwrap_or_default();
+    let schedule = preferred_schedule(&key, options);
     let megakernel = options.engine == EngineChoice::Auto
         && preferred_engine(&compiled, &key, options) == EngineKind::Megakernel;
     let (stages, of) = match options.engine {

@@ -128,7 +128,8 @@ struct EngineArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), allow_negative_numbers = true)]
     threads: Option<u16>,
 
-    /// How the wavefront engine runs a level [default: what measured fastest]
+    /// How the wavefront engine runs a level [default: what measured fastest: streamed for meshes of three kinds of
+    /// materials or more, unless something is learnt or --grain is given; else fused]
     #[arg(long, value_enum)]
     schedule: Option<ScheduleArg>,
 

@@ -1,16 +1,19 @@
-//! Which GPU engine `auto` takes. By what was measured on an H100 (benches/results/, docs/PERFORMANCE.md), not by taste.
+//! Which GPU engine `auto` takes, and which schedule the wavefront. By what was measured on an H100 (benches/results/, docs/PERFORMANCE.md), not by taste.
 
 use super::{EngineKind, RenderOptions};
 use crate::gpu::key::KernelKey;
+use crate::gpu::stage::Schedule;
 use crate::scene::compiled::CompiledScene;
 
 /// Shape tests per level from which on the wavefront is faster: by then its queues' traffic hides behind them, and the
 /// megakernel loses more to invocations that wait for each other.
 const MANY_TESTS: usize = 64;
+/// Kinds of materials from which on a kernel for each pays, where there are meshes.
+const MANY_KINDS: usize = 3;
 
 /// The engine that is faster for this scene: the megakernel up to 63 shape tests a level (0.98 to 5.8 times as fast as
-/// the fused schedule on the shipped scenes), beyond that the wavefront (door-ajar 1.17, glass-shelf 1.05, many-lights 1.03 times
-/// as fast). docs/PERFORMANCE.md.
+/// the fused schedule on the shipped scenes, but 0.88 on rough-glass), beyond that the wavefront (door-ajar 1.17, glass-shelf 1.05,
+/// many-lights 1.30, interior 1.29, the chess model 1.33, still-life 1.50 times as fast; surfaces 0.99). docs/PERFORMANCE.md.
 ///
 /// Options that only the wavefront knows imply it.
 pub fn preferred_engine(scene: &CompiledScene, key: &KernelKey, options: &RenderOptions) -> EngineKind {
@@ -19,4 +22,60 @@ pub fn preferred_engine(scene: &CompiledScene, key: &KernelKey, options: &Render
     }
     let tests = scene.tests_per_ray() * if key.direct_light { 2 } else { 1 };
     if tests < MANY_TESTS { EngineKind::Megakernel } else { EngineKind::Wavefront }
+}
+
+/// The schedule for which the caller did not ask: `Streamed` for meshes of several materials, where the fused kernel waits for
+/// the longest of many walks and for materials that its neighbours do not have; else `Fused`, whose rays travel less.
+/// Milliseconds on an H100, 640 × 480 × 64, megakernel, fused, streamed, compacted:
+///
+/// | scene (kinds of materials) | megakernel | fused | streamed | compacted |
+/// |---|---|---|---|---|
+/// | still-life (7) | 99.0 | 79.7 | 66.1 | 71.3 |
+/// | interior (7) | 38.3 | 35.9 | 29.6 | 34.0 |
+/// | chess model (3) | 42.3 | 37.3 | 31.7 | 33.3 |
+/// | glass-shelf (4, no mesh; neither roulette nor direct light) | 94.3 | 91.3 | 134.1 | 188.3 |
+///
+/// A render that learns was not measured so, and a grain is a number of levels of the fused kernel.
+pub fn preferred_schedule(key: &KernelKey, options: &RenderOptions) -> Schedule {
+    let kinds = key.kinds.iter().filter(|&&used| used).count();
+    let walks_differ = key.triangles && kinds >= MANY_KINDS;
+    let usual = match walks_differ && key.guide.is_none() && options.grain.is_none() {
+        true => Schedule::Streamed,
+        false => Schedule::Fused,
+    };
+    options.schedule.unwrap_or(usual)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Scene;
+
+    /// The schedule for a shipped scene.
+    fn schedule(file: &str, change: impl FnOnce(&mut RenderOptions)) -> Schedule {
+        let path = format!("{}/scenes/{file}", env!("CARGO_MANIFEST_DIR"));
+        let scene = Scene::load(path).expect("a shipped scene loads");
+        let mut options = RenderOptions::default();
+        change(&mut options);
+        let key = KernelKey::new(&CompiledScene::new(&scene), &options.estimators(&scene));
+        preferred_schedule(&key, &options)
+    }
+
+    #[test]
+    fn meshes_of_several_materials_stream() {
+        for file in ["still-life.toml", "interior.toml", "models/chess.glb"] {
+            assert_eq!(schedule(file, |_| ()), Schedule::Streamed, "{file}");
+        }
+        for file in ["cornell-box.toml", "glass-shelf.toml", "mesh.toml", "rough-glass.toml"] {
+            assert_eq!(schedule(file, |_| ()), Schedule::Fused, "{file}");
+        }
+    }
+
+    #[test]
+    fn what_the_caller_says_decides() {
+        let file = "interior.toml";
+        assert_eq!(schedule(file, |o| o.schedule = Some(Schedule::Compacted)), Schedule::Compacted);
+        assert_eq!(schedule(file, |o| o.grain = Some(4)), Schedule::Fused);
+        assert_eq!(schedule(file, |o| o.guide.mode = crate::guiding::GuideMode::Adaptive), Schedule::Fused);
+    }
 }

@@ -20,7 +20,7 @@ mod tracer;
 mod wavefront;
 
 pub use crate::transport::estimators::Estimators;
-pub use auto::preferred_engine;
+pub use auto::{preferred_engine, preferred_schedule};
 pub use batch::Batch;
 pub use error::RenderError;
 pub use options::{EngineChoice, EngineKind, RenderOptions};

@@ -74,7 +74,8 @@ pub struct RenderOptions {
     pub sampler: Sampler,
     /// Number of the first sample of each pixel, to render a later part of the same image.
     pub first_sample: u32,
-    /// How the wavefront engine runs a level; `None` is the one that measured fastest.
+    /// How the wavefront engine runs a level; `None` is the one that measured fastest for such scenes
+    /// ([`preferred_schedule`](super::preferred_schedule)).
     pub schedule: Option<Schedule>,
     /// Rays that the wavefront engine keeps in flight; `None` suits the GPU.
     pub pool: Option<u32>,

@@ -1,6 +1,7 @@
 //! The wavefront engine: a kernel per stage, rays in explicit bounded queues. The host records levels; the queues'
 //! lengths stay on the GPU, where they become indirect arguments. docs/KERNELS.md tells the stages' contracts.
 
+use super::auto::preferred_schedule;
 use super::gpu_film::{GpuFilm, Keys};
 use super::pacing::{Pacer, PathLengths};
 use super::tracer::Tracer;
@@ -49,7 +50,7 @@ impl WavefrontEngine {
             (_, true) => POOL_INTEGRATED,
             _ => POOL,
         });
-        let schedule = options.schedule.unwrap_or_default();
+        let schedule = preferred_schedule(&keys.own, options);
         let stages = |key: &KernelKey| Stage::wavefront(key, schedule);
         let gpu = GpuFilm::new(gpu, scene, uniforms, keys, stages, schedule, "wavefront")?;
         let expected_levels = uniforms.max_bounces + 1;

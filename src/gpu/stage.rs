@@ -11,14 +11,13 @@ use crate::scene::surfaces::{MaterialMaps, TextureImage, TriangleNormals, Triang
 use std::fmt::Write;
 
 /// How the wavefront engine schedules a level of all paths in flight. All give the same image.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Schedule {
     /// A kernel per material; survivors stay in their slots and a compaction kernel gathers them.
     Compacted,
     /// A kernel per material; survivors are pushed straight into the next dense queue.
     Streamed,
     /// One kernel for whole levels (intersection, shading and shadow test fused), some in a row; survivors streamed.
-    #[default]
     Fused,
 }
 

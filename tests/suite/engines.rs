@@ -55,7 +55,7 @@ fn claimed_share(scene: &str) -> f64 {
     match scene {
         "bansal-room-1" | "bansal-room-5" => 0.9,
         "glass-shelf" => 0.95,
-        "bansal-exp-2" | "bansal-exp-3" | "glossy-box" | "glass-caustic" => 0.96,
+        "bansal-exp-2" | "bansal-exp-3" | "glossy-box" | "glass-caustic" | "still-life" => 0.96,
         _ => 0.995,
     }
 }
