@@ -159,7 +159,7 @@ fn normals_and_coordinates_of_no_use_are_replaced_with_a_warning() {
         data.normals[1] = useless;
         let (scene, warnings) = mesh_of(data);
         assert_eq!(warnings.len(), 1, "{useless}");
-        assert!(warnings[0].contains("took the triangle's own normal at 1 corners"), "{warnings:?}");
+        assert!(warnings[0].contains("took the triangle's own normal at 1 corner,"), "{warnings:?}");
         assert!(
             normals(&scene)[0][1].distance(DVec3::Z) < 1e-6 && normals(&scene)[0][0].distance(tilted) < 1e-6
         );
