@@ -328,10 +328,10 @@ fn a_mesh_beside_the_scene_is_rendered_and_what_it_lost_is_one_line() {
     place.variant("mesh.toml", SPHERE, "type = \"mesh\"\nfile = \"tetrahedron.obj\"");
     for args in [&["render", "mesh.toml", "--engine", "cpu", "-q"][..], &["check", "mesh.toml"]] {
         let outcome = place.succeed(args);
-        let words = ["warning: ", "\"ball\"", "1 triangles without area", "1 that repeat"];
+        let words = ["warning: ", "\"ball\"", "1 triangle without area", "1 that repeats"];
         assert!(words.iter().all(|word| outcome.stderr.contains(word)), "{}", outcome.stderr);
         assert_eq!(outcome.stderr.lines().count(), 1, "{}", outcome.stderr);
-        let counts = "1 quads, 1 meshes of 4 triangles";
+        let counts = "1 quad, 1 mesh of 4 triangles";
         assert!(args[0] == "render" || outcome.stdout.contains(counts), "{}", outcome.stdout);
     }
     let stats = ["render", "mesh.toml", "--engine", "cpu", "-q", "--stats", "text", "-o", "layers.exr"];
@@ -383,7 +383,7 @@ fn models_are_rendered_by_themselves_and_what_was_chosen_is_said() {
     place.write("tetrahedron.obj", TETRAHEDRON);
     let checked = place.succeed(&["check", "sail.gltf"]);
     assert!(
-        checked.stdout.contains("640x320") && checked.stdout.contains("1 meshes of 1 triangles"),
+        checked.stdout.contains("640x320") && checked.stdout.contains("1 mesh of 1 triangle"),
         "{}",
         checked.stdout
     );
@@ -398,7 +398,7 @@ fn models_are_rendered_by_themselves_and_what_was_chosen_is_said() {
     render(&["sail.gltf", "--camera", "near"]);
     assert_ne!(place.bytes("sail.png"), first);
     let said = render(&["tetrahedron.obj"]).stderr;
-    for words in ["no camera: the whole is seen", "no light: an even white sky", "1 triangles without area"] {
+    for words in ["no camera: the whole is seen", "no light: an even white sky", "1 triangle without area"] {
         assert!(said.contains(words), "{said}");
     }
     place.refuses(

@@ -100,13 +100,19 @@ fn environment_map(sky: &Sky, compiled: &CompiledScene) -> String {
     format!("  map        {}x{}, {kilobytes} KiB, gets {share:.0} % of {why}", sky.width, sky.height)
 }
 
-/// `1 spheres, 12 quads`, and `2 meshes of 96 triangles` where there are any.
+/// `1 sphere, 12 quads`, and `2 meshes of 96 triangles` where there are any.
 fn shapes(scene: &Scene, compiled: &CompiledScene) -> String {
-    let (spheres, quads, triangles) =
-        (compiled.spheres.len(), compiled.quads.len(), compiled.triangles.len());
+    let counted =
+        |count: usize, one: &str, many: &str| format!("{count} {}", if count == 1 { one } else { many });
+    let plain = [
+        counted(compiled.spheres.len(), "sphere", "spheres"),
+        counted(compiled.quads.len(), "quad", "quads"),
+    ]
+    .join(", ");
+    let triangles = counted(compiled.triangles.len(), "triangle", "triangles");
     match scene.shapes.iter().filter(|shape| matches!(shape.geometry, Geometry::Mesh(_))).count() {
-        0 => format!("{spheres} spheres, {quads} quads"),
-        meshes => format!("{spheres} spheres, {quads} quads, {meshes} meshes of {triangles} triangles"),
+        0 => plain,
+        meshes => format!("{plain}, {} of {triangles}", counted(meshes, "mesh", "meshes")),
     }
 }
 

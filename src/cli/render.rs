@@ -49,6 +49,7 @@ fn preparing(scene: &Scene) -> String {
     };
     match scene.shapes.iter().map(triangles).sum() {
         0 => "preparing the scene".to_owned(),
+        1 => "putting 1 triangle in order".to_owned(),
         count => format!("putting {count} triangles in order"),
     }
 }

@@ -110,6 +110,11 @@ impl From<String> for Fault {
     }
 }
 
+/// `1 triangle`, `2 triangles`.
+pub(super) fn counted(count: usize, what: &str) -> String {
+    format!("{count} {what}{}", if count == 1 { "" } else { "s" })
+}
+
 /// A user's name in quotes, control characters escaped, cut where too long for a message.
 pub(super) fn quoted(name: &str) -> String {
     const LONGEST: usize = 60;

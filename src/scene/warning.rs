@@ -4,7 +4,7 @@ use std::fmt;
 
 use super::coincidence::coincident;
 use super::compiled::LEAST_ALPHA;
-use super::error::quoted;
+use super::error::{counted, quoted};
 use super::resolution::Resolution;
 use super::validate::shape_label;
 use super::{Geometry, Material, Repairs, Scene, Shape};
@@ -207,8 +207,10 @@ fn repairs_made(repairs: &Repairs) -> String {
     let Repairs { degenerate, duplicate, normals, turned, uvs } = *repairs;
     let mut made = Vec::new();
     if degenerate + duplicate > 0 {
+        let repeat = if duplicate == 1 { "repeats" } else { "repeat" };
         made.push(format!(
-            "left out {degenerate} triangles without area and {duplicate} that repeat another"
+            "left out {} without area and {duplicate} that {repeat} another",
+            counted(degenerate, "triangle")
         ));
     }
     if turned {
@@ -216,11 +218,12 @@ fn repairs_made(repairs: &Repairs) -> String {
     }
     if normals > 0 {
         made.push(format!(
-            "took the triangle's own normal at {normals} corners, whose normals are zero, no numbers or point inwards"
+            "took the triangle's own normal at {}, whose normals are zero, no numbers or point inwards",
+            counted(normals, "corner")
         ));
     }
     if uvs > 0 {
-        made.push(format!("took 0 for {uvs} texture coordinates that are no numbers or beyond 1e6"));
+        made.push(format!("took 0 for {}: no numbers, or beyond 1e6", counted(uvs, "texture coordinate")));
     }
     made.join("; ")
 }

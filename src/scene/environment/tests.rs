@@ -80,6 +80,7 @@ fn bad_maps_are_refused_with_the_remedy() {
     // Sizes that lie: nothing of that size is made.
     says(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 2000000000 +X 2000000000\n", &["too large"]);
     says(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 8192 +X 16384\n", &["16384 × 8192", "4096 × 2048"]);
+    says(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 2048 +X 4096\n", &["more than its", "bytes can hold"]);
     says(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 0 +X 4\n", &["no texels"]);
     // A luminance without colour.
     let grey = exr::prelude::Image::from_channels(

@@ -80,6 +80,7 @@ impl Mesh {
         if mesh.triangles.is_empty() {
             return Err(match data.triangles.len() {
                 0 => "has no triangles; give it faces of three corners or more".to_owned(),
+                1 => "has no area: its triangle is a point or a line; scale it up".to_owned(),
                 given => format!("has no area: its {given} triangles are points or lines; scale it up"),
             });
         }

@@ -14,7 +14,7 @@ pub(super) fn read(mut source: impl BufRead) -> Result<MeshData, String> {
     source.read_to_end(&mut bytes).map_err(|error| format!("can't be read: {error}"))?;
     let text = String::from_utf8_lossy(&bytes);
     // A byte order mark would make the first line one that is skipped.
-    let text = plain_lines(text.trim_start_matches('\u{feff}'));
+    let text = plain_lines(text.trim_start_matches('\u{feff}'))?;
     // A corner for each normal and each texture coordinate that a position is used with.
     let options =
         LoadOptions { single_index: true, triangulate: true, ignore_points: true, ignore_lines: true };
@@ -32,9 +32,9 @@ const MOST_OBJECTS: usize = 1 << 16;
 
 /// What makes corners and faces, without comments behind it and with lines that go on in the next joined to it, which tobj does
 /// not take. The rest would only take memory, and names of materials that are not there make tobj refuse a file.
-fn plain_lines(text: &str) -> String {
+fn plain_lines(text: &str) -> Result<String, String> {
     let mut plain = String::with_capacity(text.len() + 1);
-    let mut objects = 0;
+    let mut met = Met::default();
     let mut lines = text.lines();
     while let Some(line) = lines.next() {
         let begin = plain.len();
@@ -46,29 +46,56 @@ fn plain_lines(text: &str) -> String {
         plain.push_str(rest);
         let end = plain[begin..].find('#').map_or(plain.len(), |length| begin + length);
         plain.truncate(end);
-        if is_read(&plain[begin..], &mut objects) {
+        if met.takes(&plain[begin..])? {
             plain.push('\n');
         } else {
             plain.truncate(begin);
         }
     }
-    plain
+    Ok(plain)
 }
 
-/// Whether a line says anything about triangles.
-fn is_read(line: &str, objects: &mut usize) -> bool {
-    let mut words = line.split_whitespace();
-    match words.next().unwrap_or_default() {
-        "v" | "vt" | "vn" => true,
-        // Fewer corners make points and lines.
-        "f" => words.nth(2).is_some(),
-        "o" | "g" => {
-            *objects += 1;
-            *objects <= MOST_OBJECTS
+/// What there was in the lines before.
+#[derive(Default)]
+struct Met {
+    objects: usize,
+    /// Positions, texture coordinates, normals.
+    listed: [i64; 3],
+}
+
+impl Met {
+    /// Whether a line says anything about triangles. `Err` says what is wrong and the remedy.
+    fn takes(&mut self, line: &str) -> Result<bool, String> {
+        let mut words = line.split_whitespace();
+        match words.next().unwrap_or_default() {
+            "v" => self.listed[0] += 1,
+            "vt" => self.listed[1] += 1,
+            "vn" => self.listed[2] += 1,
+            "f" if !words.clone().all(|corner| self.may_have(corner)) => {
+                return Err(NO_SUCH_CORNER.to_owned());
+            }
+            // Fewer corners make points and lines.
+            "f" => return Ok(words.nth(2).is_some()),
+            "o" | "g" => {
+                self.objects += 1;
+                return Ok(self.objects <= MOST_OBJECTS);
+            }
+            _ => return Ok(false),
         }
-        _ => false,
+        Ok(true)
+    }
+
+    /// Whether the numbers of a corner, counted from the first or backwards from the last, are such that tobj can calculate
+    /// with them. What is no number it finds itself.
+    fn may_have(&self, corner: &str) -> bool {
+        corner.split('/').zip(self.listed).all(|(number, listed)| match number.parse::<i128>() {
+            Ok(number) => (-i128::from(listed)..=u32::MAX.into()).contains(&number),
+            Err(_) => number.len() < 20,
+        })
     }
 }
+
+const NO_SUCH_CORNER: &str = "has a face with a corner that it does not have; write it anew";
 
 /// Adds one object. Where some objects have normals and others do not, those others get none that is a direction; texture
 /// coordinates likewise, and the mesh warns of both. An object that has them at some corners only is taken to have none.
@@ -107,9 +134,7 @@ fn add(data: &mut MeshData, mesh: &tobj::Mesh) -> Result<(), String> {
 fn problem(error: LoadError) -> String {
     match error {
         LoadError::ReadError => format!("can't be read: {}", ErrorKind::UnexpectedEof),
-        LoadError::FaceVertexOutOfBounds => {
-            "has a face with a corner that it does not have; write it anew".to_owned()
-        }
+        LoadError::FaceVertexOutOfBounds => NO_SUCH_CORNER.to_owned(),
         error => format!("is not a valid OBJ file ({error}); write it anew"),
     }
 }

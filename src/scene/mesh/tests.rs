@@ -229,6 +229,53 @@ fn headers_that_promise_what_the_file_does_not_hold_are_refused_before_anything_
     }
 }
 
+#[test]
+fn materials_that_an_obj_file_names_are_passed_over_even_without_a_name() {
+    let plain = read(MeshFormat::Obj, OBJ.as_bytes()).unwrap();
+    let odd = OBJ.replace("usemtl stone", "usemtl\nmtllib\nusemtl");
+    assert_ne!(odd, OBJ);
+    assert_eq!(read(MeshFormat::Obj, odd.as_bytes()), Ok(plain));
+}
+
+/// Found by fuzzing: tobj multiplied such numbers beyond 2⁶⁴.
+#[test]
+fn obj_faces_that_count_back_beyond_the_first_corner_are_refused() {
+    let corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvn 0 0 1\n";
+    for face in [
+        "1//-22 2//-1 3//-1",
+        "1/-2 2/1 3/1",
+        "-4 1 2",
+        "1 2 9223372036854775807",
+        "1//-9223372036854775808 2 3",
+    ] {
+        let text = format!("{corners}f {face}\n");
+        let problem = read(MeshFormat::Obj, text.as_bytes()).unwrap_err();
+        assert!(problem.contains("a corner that it does not have"), "{face}: {problem}");
+    }
+    let back = read(MeshFormat::Obj, format!("{corners}f -3/-1/-1 -2/-1/-1 -1/-1/-1\n").as_bytes()).unwrap();
+    assert_eq!(back, read(MeshFormat::Obj, format!("{corners}f 1/1/1 2/1/1 3/1/1\n").as_bytes()).unwrap());
+}
+
+#[test]
+fn ply_files_are_read_whole_however_many_parts_they_are_read_in() {
+    let count = 40_000;
+    let axes = "property float x\nproperty float y\nproperty float z\n";
+    let face = "property list uchar int vertex_index\n";
+    let mut text = format!(
+        "ply\nformat ascii 1.0\nelement vertex {count}\n{axes}element face {count}\n{face}end_header\n"
+    );
+    (0..count).for_each(|i| text += &format!("{i} 1 2\n"));
+    (0..count).for_each(|i| text += &format!("3 0 1 {i}\n"));
+    let data = read(MeshFormat::Ply, text.as_bytes()).unwrap();
+    assert_eq!((data.positions.len(), data.triangles.len()), (count, count));
+    for i in [0, 16_383, 16_384, 39_999] {
+        assert_eq!(data.positions[i], DVec3::new(i as f64, 1.0, 2.0));
+        assert_eq!(data.triangles[i], [0, 1, i as u32]);
+    }
+    let short = read(MeshFormat::Ply, &text.as_bytes()[..text.len() - 9]).unwrap_err();
+    assert!(short.starts_with("is not a whole PLY file"), "{short}");
+}
+
 /// A scene with a mesh in a folder of its own.
 fn scene_with(folder: &Path, shape: &str) -> Result<Scene, String> {
     let camera = "name = 's'\n[camera]\norigin = [0, 0, 4]\ntarget = [0, 0, 0]\nfov_y_deg = 40\nwidth = 8\nheight = 8\n";

@@ -45,9 +45,12 @@ fn textures_are_found_in_the_folder_of_the_scene_and_read_once() {
     let whole = std::fs::read(&tiles).unwrap();
     std::fs::write(inner.join("short.png"), &whole[..whole.len() / 2]).unwrap();
     std::fs::write(inner.join("text.jpg"), "no image at all").unwrap();
-    for (name, width, height) in
-        [("wide.png", 16385, 1), ("large.png", 16384, 16384), ("huge.png", 1 << 30, 1 << 30)]
-    {
+    for (name, width, height) in [
+        ("wide.png", 16385, 1),
+        ("large.png", 16384, 16384),
+        ("huge.png", 1 << 30, 1 << 30),
+        ("hollow.png", 8192, 8192),
+    ] {
         std::fs::write(inner.join(name), png_header(width, height)).unwrap();
     }
 
@@ -71,6 +74,7 @@ fn textures_are_found_in_the_folder_of_the_scene_and_read_once() {
         ("color_texture = 'wide.png'", "reduce"),
         ("color_texture = 'large.png'", "16384 x 16384: has more than 2^26 texels; reduce the image"),
         ("color_texture = 'huge.png'", "reduce"),
+        ("color_texture = 'hollow.png'", "8192 x 8192, more than its 45 bytes can hold"),
         ("color_texture = '.'", "is not a regular file"),
         ("color_texture = 1", "color_texture must be a text in quotes"),
         ("emission_texture = 'a.PNG'", "color is missing"),
@@ -155,7 +159,7 @@ fn normals_and_coordinates_of_no_use_are_replaced_with_a_warning() {
         data.normals[1] = useless;
         let (scene, warnings) = mesh_of(data);
         assert_eq!(warnings.len(), 1, "{useless}");
-        assert!(warnings[0].contains("took the triangle's own normal at 1 corners"), "{warnings:?}");
+        assert!(warnings[0].contains("took the triangle's own normal at 1 corner,"), "{warnings:?}");
         assert!(
             normals(&scene)[0][1].distance(DVec3::Z) < 1e-6 && normals(&scene)[0][0].distance(tilted) < 1e-6
         );
