@@ -141,7 +141,12 @@ pub(super) fn io_problem(error: &std::io::Error) -> String {
 
 /// Refuses images whose header promises more than so many bytes of file can hold, before anything is allocated. No compression
 /// of real images exceeds the share (deflate reaches 1032); small ones are always allowed.
-pub(super) fn plausible_image(file_bytes: usize, width: u32, height: u32, texel_bytes: u64) -> Result<(), String> {
+pub(super) fn plausible_image(
+    file_bytes: usize,
+    width: u32,
+    height: u32,
+    texel_bytes: u64,
+) -> Result<(), String> {
     const MOST_EXPANSION: u64 = 1 << 12;
     const ALWAYS: u64 = 1 << 24;
     let needed = u64::from(width) * u64::from(height) * texel_bytes;

@@ -10,6 +10,7 @@ use super::texture::{MaterialTextures, Texture, TextureRef};
 use super::{Geometry, Material, Mesh, Scene};
 use crate::gpu_struct;
 use glam::{DVec3, Vec3};
+use std::collections::HashMap;
 
 gpu_struct! {
     /// Normals at the corners of a triangle, on its outer side, in two 16-bit numbers each.
@@ -63,6 +64,8 @@ pub struct Surfaces {
     /// One for each material, if any that a shape has is textured; so with what follows.
     pub maps: Vec<MaterialMaps>,
     pub images: Vec<TextureImage>,
+    /// How many of these have texels: those that a material of a shape takes.
+    pub taken_images: usize,
     /// Four texels to a row, red in the lowest byte.
     pub texels: Vec<Row>,
     /// What each byte of an sRGB colour means, four to a row.
@@ -97,7 +100,8 @@ impl Surfaces {
         surfaces.normal_maps = taken.iter().any(|textures| textures.normal.is_some());
         surfaces.textured_lamps = taken.iter().any(|textures| textures.emission.is_some());
         if surfaces.textured_lamps {
-            let mean = |texture: TextureRef| mean_color(&scene.textures[texture.texture]).as_vec3();
+            let means = means(&scene.textures, taken.iter().filter_map(|textures| textures.emission));
+            let mean = |texture: TextureRef| means[&texture.texture];
             surfaces.mean_emission =
                 taken.iter().map(|textures| textures.emission.map_or(Vec3::ONE, mean)).collect();
         }
@@ -168,6 +172,7 @@ impl Surfaces {
                 ..Default::default()
             });
             if wanted {
+                self.taken_images += 1;
                 let (whole, rest) = texture.rgba.as_chunks::<16>();
                 let mut last = [0; 16];
                 last[..rest.len()].copy_from_slice(rest);
@@ -212,6 +217,15 @@ fn srgb_value(byte: u8) -> f64 {
 fn srgb_rows() -> Vec<Row> {
     let value = |byte: usize| (srgb_value(byte as u8) as f32).to_bits();
     (0..64).map(|row| std::array::from_fn(|i| value(4 * row + i))).collect()
+}
+
+/// Means of these textures by their numbers; of one that many materials have only once.
+fn means(textures: &[Texture], taken: impl Iterator<Item = TextureRef>) -> HashMap<usize, Vec3> {
+    let mut means = HashMap::new();
+    for TextureRef { texture, .. } in taken {
+        means.entry(texture).or_insert_with(|| mean_color(&textures[texture]).as_vec3());
+    }
+    means
 }
 
 /// Mean over the texels, in linear light.

@@ -85,6 +85,21 @@ fn decode(encoded: &[u8], name: String) -> Result<Texture, String> {
         .unwrap_or_else(|_| Err("is damaged; write it anew as PNG or JPEG".to_owned()))
 }
 
+/// Texels that the header of an image promises; 0 where it has none, or more than an image may have.
+pub(in crate::scene) fn texels_promised(encoded: &[u8]) -> u64 {
+    let size = || {
+        let source = ImageReader::new(Cursor::new(encoded)).with_guessed_format().ok()?;
+        let known = matches!(source.format(), Some(ImageFormat::Png | ImageFormat::Jpeg));
+        known.then(|| source.into_dimensions().ok()).flatten()
+    };
+    match catch_unwind(size) {
+        Ok(Some((width, height))) if check_size(width, height).is_ok() => {
+            u64::from(width) * u64::from(height)
+        }
+        _ => 0,
+    }
+}
+
 /// Decodes what is small enough by its header.
 fn decode_small(encoded: &[u8], name: String) -> Result<Texture, String> {
     let source = ImageReader::new(Cursor::new(encoded));

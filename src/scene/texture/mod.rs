@@ -4,7 +4,9 @@ mod file;
 
 use std::sync::Arc;
 
-pub(super) use file::{TextureFiles, check_size};
+use super::texels::WRAP_U_SHIFT;
+
+pub(super) use file::{TextureFiles, check_size, texels_promised};
 
 /// Texels along a side at most.
 pub(super) const LONGEST_SIDE: u32 = 16_384;
@@ -12,6 +14,8 @@ pub(super) const LONGEST_SIDE: u32 = 16_384;
 pub(super) const MOST_TEXELS: u64 = 1 << 26;
 /// Texels that a scene may have in all: 1 GiB.
 const MOST_IN_ALL: u64 = 1 << 28;
+/// Textures that a scene may have: so many have a number below the bits that say how they go on beyond their edges.
+const MOST_TEXTURES: usize = 1 << WRAP_U_SHIFT;
 
 /// An image for surfaces; cheap to clone. What takes it says how its numbers are meant: colours are sRGB, everything else is
 /// linear.
@@ -34,10 +38,17 @@ impl Texture {
     }
 }
 
-/// Whether all textures of a scene together are small enough.
+/// Whether all textures of a scene together are few and small enough.
 pub(super) fn check_sum(textures: &[Texture]) -> Result<(), String> {
-    let texels = |texture: &Texture| u64::from(texture.width) * u64::from(texture.height);
-    match textures.iter().map(texels).sum::<u64>() <= MOST_IN_ALL {
+    if textures.len() > MOST_TEXTURES {
+        return Err(format!("has {} textures; stay within {MOST_TEXTURES}", textures.len()));
+    }
+    check_total(textures.iter().map(|texture| u64::from(texture.width) * u64::from(texture.height)).sum())
+}
+
+/// Whether a scene may have so many texels in all.
+pub(super) fn check_total(texels: u64) -> Result<(), String> {
+    match texels <= MOST_IN_ALL {
         true => Ok(()),
         false => Err(format!("has textures of more than {MOST_IN_ALL} texels (1 GiB) together; reduce them")),
     }
