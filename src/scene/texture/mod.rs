@@ -40,10 +40,16 @@ impl Texture {
 
 /// Whether all textures of a scene together are few and small enough.
 pub(super) fn check_sum(textures: &[Texture]) -> Result<(), String> {
-    if textures.len() > MOST_TEXTURES {
-        return Err(format!("has {} textures; stay within {MOST_TEXTURES}", textures.len()));
-    }
+    check_count(textures.len())?;
     check_total(textures.iter().map(|texture| u64::from(texture.width) * u64::from(texture.height)).sum())
+}
+
+/// Whether a scene may have so many textures.
+fn check_count(textures: usize) -> Result<(), String> {
+    match textures <= MOST_TEXTURES {
+        true => Ok(()),
+        false => Err(format!("has {textures} textures; stay within {MOST_TEXTURES}")),
+    }
 }
 
 /// Whether a scene may have so many texels in all.
@@ -132,4 +138,20 @@ pub enum Wrap {
     Clamp,
     /// The image again, every other time mirrored.
     Mirror,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scenes_have_a_limit_of_texels_and_of_textures() {
+        let texels: Arc<[u8]> = Arc::new([0; 4]);
+        let of = |count: usize, side: u32| vec![Texture::new("", side, side, texels.clone()); count];
+        assert_eq!(check_sum(&of(4, 8192)), Ok(()));
+        assert!(check_sum(&of(5, 8192)).unwrap_err().contains("more than 268435456 texels"));
+        assert_eq!(check_sum(&of(1000, 1)), Ok(()));
+        assert_eq!(check_count(MOST_TEXTURES), Ok(()));
+        assert!(check_count(MOST_TEXTURES + 1).unwrap_err().contains("stay within 16777216"));
+    }
 }
