@@ -240,3 +240,16 @@ fn mean_color(texture: &Texture) -> DVec3 {
         sum / texels
     }))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_mean_of_a_texture_that_many_materials_have_is_taken_once() {
+        let grey = |byte: u8| Texture::new("", 1, 1, vec![byte; 4]);
+        let taken = (0..1000).map(|number| TextureRef::new(number % 2));
+        let means = means(&[grey(0), grey(255), grey(9)], taken);
+        assert_eq!((means.len(), means[&0], means[&1]), (2, Vec3::ZERO, Vec3::ONE));
+    }
+}
