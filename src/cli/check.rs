@@ -78,14 +78,15 @@ fn describe(path: &Path, scene: &Scene) -> String {
     lines.join("\n")
 }
 
-/// `  surfaces   64.0 KiB of normals, 128.0 KiB of texture coordinates, 1 textures of 6.8 KiB`.
+/// `  surfaces   64.0 KiB of normals, 128.0 KiB of texture coordinates, 1 texture of 6.8 KiB`.
 fn surfaces(stats: &SurfaceStats) -> String {
     let SurfaceStats { normal_bytes, uv_bytes, textures, texture_bytes } = *stats;
     let kib = |bytes: usize| bytes as f64 / 1024.0;
     format!(
-        "  surfaces   {:.1} KiB of normals, {:.1} KiB of texture coordinates, {textures} textures of {:.1} KiB",
+        "  surfaces   {:.1} KiB of normals, {:.1} KiB of texture coordinates, {textures} {} of {:.1} KiB",
         kib(normal_bytes),
         kib(uv_bytes),
+        if textures == 1 { "texture" } else { "textures" },
         kib(texture_bytes)
     )
 }

@@ -117,7 +117,7 @@ impl SurfaceStats {
         surfaces.changes_triangles().then(|| SurfaceStats {
             normal_bytes: size_of_val(&surfaces.normals[..]),
             uv_bytes: size_of_val(&surfaces.uvs[..]),
-            textures: surfaces.images.len(),
+            textures: surfaces.taken_images,
             texture_bytes: size_of_val(&surfaces.texels[..]),
         })
     }

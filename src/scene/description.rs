@@ -1,7 +1,7 @@
 //! The keys of a scene file and what they mean: a tree in, a validated [`Scene`] out.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 
@@ -11,8 +11,8 @@ use super::environment;
 use super::error::{Fault, SceneError, quoted, suggestion};
 use super::fields::Fields;
 use super::mesh::file::of_scene;
-use super::model::{self, Model};
-use super::texture::{MaterialTextures, Texture, TextureFiles, TextureRef, Wrap};
+use super::model::{self, Model, Names};
+use super::texture::{MaterialTextures, Texture, TextureFiles, TextureRef, Wrap, check_sum};
 use super::validate::{self, material_label, shape_label};
 use super::{
     Camera, Defaults, EnvironmentMap, Geometry, Material, MaterialKind, Placement, Scene, SceneWarning, Shape,
@@ -34,10 +34,9 @@ pub(super) fn scene(root: &Node, folder: Option<&Path>) -> Result<Scene, SceneEr
     let mut materials = materials(top.node("materials"), &mut files)?;
     let names =
         materials.iter().enumerate().map(|(index, material)| (material.name.clone(), index)).collect();
-    let mut models =
-        Models { names, folder, materials: &mut materials, textures: &mut files.all, warnings: Vec::new() };
+    let mut models = Models::new(names, folder, &mut materials, &mut files.all);
     let shapes = shapes(top.node("shapes"), &mut models)?;
-    let file_warnings = models.warnings;
+    let file_warnings = models.warnings();
     let (radiance, environment_map) =
         section(&top, "environment", |fields| environment(fields, folder))?.unwrap_or_default();
     let scene = Scene {
@@ -257,8 +256,21 @@ struct Models<'a> {
     names: MaterialNames,
     folder: Option<&'a Path>,
     materials: &'a mut Vec<Material>,
+    /// Theirs, and those of the files.
+    all_names: Names,
     textures: &'a mut Vec<Texture>,
-    warnings: Vec<SceneWarning>,
+    /// Numbers of files by where they lie.
+    numbers: BTreeMap<PathBuf, usize>,
+    read: Vec<ReadModel>,
+}
+
+/// A file that was read, however often it is placed.
+struct ReadModel {
+    /// As the scene called it first.
+    file: String,
+    model: Model,
+    /// The number of its first material, once the scene has taken them.
+    first: Option<usize>,
 }
 
 fn shapes(node: Option<&Node>, models: &mut Models<'_>) -> Result<Vec<Shape>, SceneError> {
@@ -348,9 +360,10 @@ fn meshed(fields: &Fields<'_>, models: &mut Models<'_>) -> Result<Vec<Shape>, Fa
     let own = fields.node("material").is_none() && model::has_materials(&path);
     let material = if own { None } else { Some(own_material(fields, &models.names)?) };
     let broken = |problem| fields.broken(format!("file {} {problem}", quoted(&file)));
-    let mut model = Model::load(&path).map_err(broken)?;
-    match fields.get("smooth")? {
-        Some(false) => model.surfaces.iter_mut().for_each(|surface| surface.data.normals.clear()),
+    let number = models.number(&file, path).map_err(broken)?;
+    let model = &mut models.read[number].model;
+    let smooth = fields.get("smooth")?;
+    match smooth {
         Some(true) if model.surfaces.iter().any(|surface| surface.data.normals.is_empty()) => {
             let problem = format!(
                 "smooth needs normals, which file {} does not have; write it with them",
@@ -360,36 +373,63 @@ fn meshed(fields: &Fields<'_>, models: &mut Models<'_>) -> Result<Vec<Shape>, Fa
         }
         _ => {}
     }
-    let mut shapes = model.place(&placement).map_err(broken)?;
+    let mut shapes = model.place(&placement, smooth != Some(false)).map_err(broken)?;
     if shapes.is_empty() {
         return Err(broken(model::NOTHING_TO_SHOW.to_owned()));
     }
-    models.warnings.extend(model.placed_warnings(&file));
-    let first = models.materials.len();
+    let first = if own { models.first_material(number).map_err(broken)? } else { 0 };
     for shape in &mut shapes {
         shape.material = material.unwrap_or(first + shape.material);
         shape.name = name.clone().or(shape.name.take());
     }
-    if own {
-        models.add(&file, model.materials, model.textures);
-    }
     Ok(shapes)
 }
 
-impl Models<'_> {
-    /// Adds the materials of a file under names that no other has, and their textures.
-    fn add(&mut self, file: &str, materials: Vec<Material>, textures: Vec<Texture>) {
+impl<'a> Models<'a> {
+    fn new(
+        names: MaterialNames,
+        folder: Option<&'a Path>,
+        materials: &'a mut Vec<Material>,
+        textures: &'a mut Vec<Texture>,
+    ) -> Self {
+        let all_names = Names::of(names.keys().map(String::as_str));
+        let (numbers, read) = (BTreeMap::new(), Vec::new());
+        Models { names, folder, materials, all_names, textures, numbers, read }
+    }
+
+    /// The number of the file that lies there, read if it is new. `Err` says what is wrong.
+    fn number(&mut self, file: &str, path: PathBuf) -> Result<usize, String> {
+        if let Some(&number) = self.numbers.get(&path) {
+            return Ok(number);
+        }
+        let number = self.read.len();
+        self.read.push(ReadModel { file: file.to_owned(), model: Model::load(&path)?, first: None });
+        self.numbers.insert(path, number);
+        Ok(number)
+    }
+
+    /// The number that the first material of a file has in the scene. They are added once, under names that no other has, and
+    /// their textures.
+    fn first_material(&mut self, number: usize) -> Result<usize, String> {
+        let ReadModel { file, model, first } = &mut self.read[number];
+        if let Some(first) = *first {
+            return Ok(first);
+        }
         let (place, first_texture) = (self.materials.len(), self.textures.len());
-        self.textures.extend(textures);
-        let named = |mut material: Material| {
+        self.textures.append(&mut model.textures);
+        check_sum(self.textures)?;
+        for mut material in std::mem::take(&mut model.materials) {
             material.textures.move_by(first_texture);
-            let name = format!("{file}: {}", material.name);
-            let taken = self.materials.iter().any(|other| other.name == name);
-            // The file has been read before.
-            Material { name: if taken { format!("{name} [{place}]") } else { name }, ..material }
-        };
-        let materials: Vec<Material> = materials.into_iter().map(named).collect();
-        self.materials.extend(materials);
+            let name = self.all_names.fresh(format!("{file}: {}", material.name));
+            self.materials.push(Material { name, ..material });
+        }
+        *first = Some(place);
+        Ok(place)
+    }
+
+    /// What was odd about the files.
+    fn warnings(self) -> Vec<SceneWarning> {
+        self.read.into_iter().flat_map(|mut read| read.model.placed_warnings(&read.file)).collect()
     }
 }
 

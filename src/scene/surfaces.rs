@@ -10,6 +10,7 @@ use super::texture::{MaterialTextures, Texture, TextureRef};
 use super::{Geometry, Material, Mesh, Scene};
 use crate::gpu_struct;
 use glam::{DVec3, Vec3};
+use std::collections::HashMap;
 
 gpu_struct! {
     /// Normals at the corners of a triangle, on its outer side, in two 16-bit numbers each.
@@ -63,6 +64,8 @@ pub struct Surfaces {
     /// One for each material, if any that a shape has is textured; so with what follows.
     pub maps: Vec<MaterialMaps>,
     pub images: Vec<TextureImage>,
+    /// How many of these have texels: those that a material of a shape takes.
+    pub taken_images: usize,
     /// Four texels to a row, red in the lowest byte.
     pub texels: Vec<Row>,
     /// What each byte of an sRGB colour means, four to a row.
@@ -97,7 +100,8 @@ impl Surfaces {
         surfaces.normal_maps = taken.iter().any(|textures| textures.normal.is_some());
         surfaces.textured_lamps = taken.iter().any(|textures| textures.emission.is_some());
         if surfaces.textured_lamps {
-            let mean = |texture: TextureRef| mean_color(&scene.textures[texture.texture]).as_vec3();
+            let means = means(&scene.textures, taken.iter().filter_map(|textures| textures.emission));
+            let mean = |texture: TextureRef| means[&texture.texture];
             surfaces.mean_emission =
                 taken.iter().map(|textures| textures.emission.map_or(Vec3::ONE, mean)).collect();
         }
@@ -168,6 +172,7 @@ impl Surfaces {
                 ..Default::default()
             });
             if wanted {
+                self.taken_images += 1;
                 let (whole, rest) = texture.rgba.as_chunks::<16>();
                 let mut last = [0; 16];
                 last[..rest.len()].copy_from_slice(rest);
@@ -214,6 +219,15 @@ fn srgb_rows() -> Vec<Row> {
     (0..64).map(|row| std::array::from_fn(|i| value(4 * row + i))).collect()
 }
 
+/// Means of these textures by their numbers; of one that many materials have only once.
+fn means(textures: &[Texture], taken: impl Iterator<Item = TextureRef>) -> HashMap<usize, Vec3> {
+    let mut means = HashMap::new();
+    for TextureRef { texture, .. } in taken {
+        means.entry(texture).or_insert_with(|| mean_color(&textures[texture]).as_vec3());
+    }
+    means
+}
+
 /// Mean over the texels, in linear light.
 fn mean_color(texture: &Texture) -> DVec3 {
     let mut counts = [[0u64; 256]; 3];
@@ -225,4 +239,17 @@ fn mean_color(texture: &Texture) -> DVec3 {
         let sum: f64 = (0..256).map(|byte| counts[byte] as f64 * srgb_value(byte as u8)).sum();
         sum / texels
     }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_mean_of_a_texture_that_many_materials_have_is_taken_once() {
+        let grey = |byte: u8| Texture::new("", 1, 1, vec![byte; 4]);
+        let taken = (0..1000).map(|number| TextureRef::new(number % 2));
+        let means = means(&[grey(0), grey(255), grey(9)], taken);
+        assert_eq!((means.len(), means[&0], means[&1]), (2, Vec3::ZERO, Vec3::ONE));
+    }
 }

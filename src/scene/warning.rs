@@ -9,6 +9,9 @@ use super::resolution::Resolution;
 use super::validate::shape_label;
 use super::{Geometry, Material, Repairs, Scene, Shape};
 
+/// Pairs of shapes that are compared for a warning: a second at most.
+const MOST_PAIRS: usize = 1 << 25;
+
 /// Something odd about a valid scene.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
@@ -167,18 +170,22 @@ impl Scene {
         Some(SceneWarning::BelowResolution { shape, size, offset, others: poor.len() - 1 })
     }
 
-    /// One warning for each lamp that coincides with another shape.
+    /// One warning for each lamp that coincides with another shape. Meshes are not looked at, and of very many lamps only the
+    /// first: nobody waits for a warning.
     fn flush_lamps(&self) -> Vec<SceneWarning> {
         let emits = |shape: &Shape| self.materials.get(shape.material).is_some_and(Material::is_emissive);
         let label = |index: usize| shape_label(index, self.shapes[index].name.as_deref());
-        let lamps = self.shapes.iter().enumerate().filter(|(_, shape)| emits(shape));
+        let is_mesh = |shape: &Shape| matches!(shape.geometry, Geometry::Mesh(_));
+        let plain: Vec<usize> = (0..self.shapes.len()).filter(|&i| !is_mesh(&self.shapes[i])).collect();
+        let lamps = plain.iter().copied().filter(|&i| emits(&self.shapes[i]));
         let other = |lamp: usize| {
             let coincides =
                 |i: &usize| *i != lamp && coincident(&self.shapes[lamp].geometry, &self.shapes[*i].geometry);
-            (0..self.shapes.len()).find(coincides)
+            plain.iter().copied().find(coincides)
         };
         lamps
-            .filter_map(|(lamp, _)| {
+            .take(MOST_PAIRS / plain.len().max(1))
+            .filter_map(|lamp| {
                 Some(SceneWarning::FlushLamp { lamp: label(lamp), other: label(other(lamp)?) })
             })
             .collect()

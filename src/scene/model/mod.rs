@@ -7,6 +7,7 @@
 mod findings;
 mod gltf;
 mod lamps;
+mod names;
 mod whole;
 
 use std::path::Path;
@@ -18,6 +19,7 @@ use rayon::prelude::*;
 use super::mesh::{Placement, file};
 use super::{Geometry, Material, Mesh, MeshData, Shape, Texture};
 use findings::Findings;
+pub(super) use names::Names;
 pub(super) use whole::{gltf_in_memory, load as load_whole};
 
 /// What a file holds.
@@ -130,17 +132,20 @@ impl Model {
         }
     }
 
-    /// The surfaces in world units, one shape for each instance, whose materials are numbers of the model's. Instances without
-    /// an area are left out.
+    /// The surfaces in world units, one shape for each instance, whose materials are numbers of the model's; with their normals
+    /// if they are to be smooth. Instances without an area are left out.
     ///
     /// Each instance becomes triangles of its own. This is the place where shared ones would be kept: a [`Surface`] is what
     /// instances have in common, an [`Instance`] what they differ in.
-    pub fn place(&mut self, placement: &Placement) -> Result<Vec<Shape>, String> {
+    pub fn place(&mut self, placement: &Placement, smooth: bool) -> Result<Vec<Shape>, String> {
         let Model { surfaces, instances, findings, .. } = self;
         let outer = placement.transform();
         let lay_out = |instance: &Instance| -> Result<Option<Shape>, String> {
             let surface = &surfaces[instance.surface];
-            let data = surface.data.transformed(&(outer * instance.transform));
+            let mut data = surface.data.transformed(&(outer * instance.transform));
+            if !smooth {
+                data.normals.clear();
+            }
             if !data.triangles.is_empty() && !data.has_area() {
                 return Ok(None);
             }

@@ -38,7 +38,7 @@ pub(in crate::scene) fn gltf_in_memory(name: String, bytes: &[u8]) -> Result<Sce
 }
 
 fn whole(mut model: Model, name: String, camera: Option<&str>) -> Result<Scene, String> {
-    let mut shapes = model.place(&Placement::default())?;
+    let mut shapes = model.place(&Placement::default(), true)?;
     let (middle, diagonal) = extent(&shapes)?;
     let camera = chosen_camera(&mut model, camera, middle, diagonal)?;
     add_lamps(&mut model, &mut shapes, middle, diagonal);

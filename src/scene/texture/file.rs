@@ -80,9 +80,29 @@ fn read(path: &Path, name: String) -> Result<Texture, String> {
 }
 
 fn decode(encoded: &[u8], name: String) -> Result<Texture, String> {
-    // Decoders of others may panic on what their authors have not thought of.
-    catch_unwind(AssertUnwindSafe(|| decode_small(encoded, name)))
+    unless_it_panics(|| decode_small(encoded, name))
+}
+
+/// Decoders of others may panic on what their authors have not thought of.
+fn unless_it_panics<T>(decode: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
+    catch_unwind(AssertUnwindSafe(decode))
         .unwrap_or_else(|_| Err("is damaged; write it anew as PNG or JPEG".to_owned()))
+}
+
+/// Texels that the header of an image promises; 0 where it has none, or more than an image may have.
+pub(in crate::scene) fn texels_promised(encoded: &[u8]) -> u64 {
+    let size = || {
+        let source = ImageReader::new(Cursor::new(encoded)).with_guessed_format().ok();
+        let is_known =
+            |source: &ImageReader<_>| matches!(source.format(), Some(ImageFormat::Png | ImageFormat::Jpeg));
+        Ok(source.filter(is_known).and_then(|source| source.into_dimensions().ok()))
+    };
+    match unless_it_panics(size) {
+        Ok(Some((width, height))) if check_size(width, height).is_ok() => {
+            u64::from(width) * u64::from(height)
+        }
+        _ => 0,
+    }
 }
 
 /// Decodes what is small enough by its header.
@@ -128,5 +148,27 @@ fn damaged(error: &image::ImageError) -> String {
             let words: String = error.to_string().chars().take(120).collect();
             format!("can't be decoded ({words}); write it anew as PNG or JPEG")
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn decoders_that_panic_are_errors() {
+        let panics = || -> Result<(), String> { panic!("what the decoder's authors have not thought of") };
+        assert!(unless_it_panics(panics).unwrap_err().starts_with("is damaged"));
+        assert_eq!(unless_it_panics(|| Ok(7)), Ok(7));
+    }
+
+    #[test]
+    fn headers_promise_texels_and_damage_promises_none() {
+        let mut bytes = Vec::new();
+        let mut writer = png::Encoder::new(&mut bytes, 5, 3).write_header().unwrap();
+        writer.write_chunk(png::chunk::IDAT, &[0x78, 1]).unwrap();
+        drop(writer);
+        assert_eq!(texels_promised(&bytes), 15);
+        assert_eq!((texels_promised(&bytes[..20]), texels_promised(b"neither")), (0, 0));
     }
 }

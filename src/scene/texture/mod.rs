@@ -4,7 +4,9 @@ mod file;
 
 use std::sync::Arc;
 
-pub(super) use file::{TextureFiles, check_size};
+use super::texels::WRAP_U_SHIFT;
+
+pub(super) use file::{TextureFiles, check_size, texels_promised};
 
 /// Texels along a side at most.
 pub(super) const LONGEST_SIDE: u32 = 16_384;
@@ -12,6 +14,8 @@ pub(super) const LONGEST_SIDE: u32 = 16_384;
 pub(super) const MOST_TEXELS: u64 = 1 << 26;
 /// Texels that a scene may have in all: 1 GiB.
 const MOST_IN_ALL: u64 = 1 << 28;
+/// Textures that a scene may have: so many have a number below the bits that say how they go on beyond their edges.
+const MOST_TEXTURES: usize = 1 << WRAP_U_SHIFT;
 
 /// An image for surfaces; cheap to clone. What takes it says how its numbers are meant: colours are sRGB, everything else is
 /// linear.
@@ -34,10 +38,23 @@ impl Texture {
     }
 }
 
-/// Whether all textures of a scene together are small enough.
+/// Whether all textures of a scene together are few and small enough.
 pub(super) fn check_sum(textures: &[Texture]) -> Result<(), String> {
-    let texels = |texture: &Texture| u64::from(texture.width) * u64::from(texture.height);
-    match textures.iter().map(texels).sum::<u64>() <= MOST_IN_ALL {
+    check_count(textures.len())?;
+    check_total(textures.iter().map(|texture| u64::from(texture.width) * u64::from(texture.height)).sum())
+}
+
+/// Whether a scene may have so many textures.
+fn check_count(textures: usize) -> Result<(), String> {
+    match textures <= MOST_TEXTURES {
+        true => Ok(()),
+        false => Err(format!("has {textures} textures; stay within {MOST_TEXTURES}")),
+    }
+}
+
+/// Whether a scene may have so many texels in all.
+pub(super) fn check_total(texels: u64) -> Result<(), String> {
+    match texels <= MOST_IN_ALL {
         true => Ok(()),
         false => Err(format!("has textures of more than {MOST_IN_ALL} texels (1 GiB) together; reduce them")),
     }
@@ -121,4 +138,20 @@ pub enum Wrap {
     Clamp,
     /// The image again, every other time mirrored.
     Mirror,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scenes_have_a_limit_of_texels_and_of_textures() {
+        let texels: Arc<[u8]> = Arc::new([0; 4]);
+        let of = |count: usize, side: u32| vec![Texture::new("", side, side, texels.clone()); count];
+        assert_eq!(check_sum(&of(4, 8192)), Ok(()));
+        assert!(check_sum(&of(5, 8192)).unwrap_err().contains("more than 268435456 texels"));
+        assert_eq!(check_sum(&of(1000, 1)), Ok(()));
+        assert_eq!(check_count(MOST_TEXTURES), Ok(()));
+        assert!(check_count(MOST_TEXTURES + 1).unwrap_err().contains("stay within 16777216"));
+    }
 }

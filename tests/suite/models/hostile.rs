@@ -196,6 +196,61 @@ fn more_triangles_than_fit_are_refused_before_they_are_laid_out() {
 }
 
 #[test]
+fn primitives_that_show_nothing_count_too() {
+    let mut file = Gltf::cube();
+    let primitive = file.json["meshes"][0]["primitives"][0].clone();
+    let mut points = primitive.clone();
+    points["mode"] = json!(0);
+    file.json["meshes"][0]["primitives"] = json!(vec![points; 1025]);
+    file.json["meshes"][0]["primitives"][0] = primitive;
+    (0..1024).for_each(|_| drop(file.stand(json!({ "mesh": 0 }))));
+    assert!(file.problem().contains("has more than 1048576 primitives, each instance counted"));
+    // One node fewer, and they fit.
+    file.json["scenes"][0]["nodes"].as_array_mut().unwrap().pop();
+    assert_eq!(file.scene().shapes.len(), 1023);
+}
+
+#[test]
+fn strips_of_ties_count_before_they_are_walked() {
+    let mut file = Gltf::new();
+    let positions = file.positions(&CUBE);
+    let ties = file.accessor(U8, "SCALAR", 1 << 22, &vec![0; 1 << 22]);
+    let strip = json!({ "attributes": { "POSITION": positions }, "indices": ties, "mode": 5 });
+    file.add("meshes", json!({ "primitives": vec![strip; 9] }));
+    file.stand(json!({ "mesh": 0 }));
+    assert!(file.problem().contains("has more than 33554432 triangles, each instance counted"));
+}
+
+#[test]
+fn ten_thousands_of_materials_of_one_name_take_no_minutes() {
+    let mut file = Gltf::cube();
+    file.json["materials"] = json!(vec![json!({ "name": "wood" }); 20_000]);
+    file.stand(json!({ "mesh": 0 }));
+    let scene = file.scene();
+    assert_eq!(scene.materials[19_999].name, "wood (20000)");
+}
+
+#[test]
+fn instances_keep_no_more_of_a_name_than_messages_need() {
+    let mut file = Gltf::cube();
+    file.stand(json!({ "mesh": 0, "name": "ü".repeat(5000) }));
+    file.stand(json!({ "mesh": 0, "name": "lid" }));
+    let scene = file.scene();
+    let name = |shape: usize| scene.shapes[shape].name.as_deref().unwrap();
+    assert_eq!((name(0).chars().count(), name(1)), (101, "lid"));
+}
+
+#[test]
+fn lamps_of_many_triangles_are_not_compared_with_one_another() {
+    let mut file = Gltf::cube();
+    file.add("materials", json!({ "emissiveFactor": [1, 1, 1] }));
+    file.json["meshes"][0]["primitives"][0]["material"] = json!(0);
+    (0..20_000).for_each(|number| drop(file.stand(json!({ "mesh": 0, "translation": [3 * number, 0, 0] }))));
+    // 4·10⁸ comparisons took seconds.
+    assert!(!warns(&file.scene(), "lies in the surface of"));
+}
+
+#[test]
 fn descriptions_that_take_memory_out_of_proportion_are_refused() {
     let bomb = |item: &str, count: usize| {
         let text =

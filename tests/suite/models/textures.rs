@@ -4,7 +4,9 @@ use super::builder::{F32, Gltf, Place, warns};
 use crate::support::{ENGINES, Engine, Render, render, small};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
+use glam::DVec3;
 use qtracer::Scene;
+use qtracer::scene::compiled::CompiledScene;
 use qtracer::scene::{MaterialKind, Wrap};
 use serde_json::{Value, json};
 
@@ -158,6 +160,89 @@ fn meshes_without_coordinates_wear_the_material_without_its_textures() {
         &scene,
         "meshes[1], primitives[0] and 1 more: has a material with textures, but no TEXCOORD_0"
     ));
+}
+
+#[test]
+fn a_material_of_the_files_own_is_not_taken_for_one_without_textures() {
+    let mut file =
+        square(json!({ "name": "wood", "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 } } }));
+    texture(&mut file, &[RED]);
+    let own = json!({ "baseColorFactor": [1, 0, 0, 1] });
+    file.add("materials", json!({ "name": "wood (untextured)", "pbrMetallicRoughness": own }));
+    let positions = file.json["meshes"][0]["primitives"][0]["attributes"]["POSITION"].clone();
+    let bare = file.mesh(json!({ "attributes": { "POSITION": positions }, "indices": 2, "material": 0 }));
+    file.stand(json!({ "mesh": bare }));
+    let scene = file.scene();
+    let worn = &scene.materials[scene.shapes[1].material];
+    assert_eq!((worn.name.as_str(), worn.kind.color()), ("wood (untextured) (2)", DVec3::ONE));
+}
+
+#[test]
+fn a_file_placed_three_times_is_read_once_and_so_are_its_textures() {
+    let mut file =
+        square(json!({ "name": "wood", "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 } } }));
+    texture(&mut file, &[RED, GREEN]);
+    let place = Place::new();
+    place.write("square.glb", file.glb());
+    let shape = |file: &str, more: &str| format!("[[shapes]]\ntype = 'mesh'\nfile = '{file}'\n{more}\n");
+    let text = format!(
+        "name = 'a'\n[camera]\norigin = [0, 0, 9]\ntarget = [0, 0, 0]\nfov_y_deg = 40\nwidth = 8\nheight = 8\n\
+         [environment]\nradiance = [1, 1, 1]\n[materials.red]\ntype = 'diffuse'\ncolor = [1, 0, 0]\n{}{}{}{}",
+        shape("square.glb", "material = 'red'"),
+        shape("square.glb", "translate = [3, 0, 0]"),
+        shape("./square.glb", "translate = [6, 0, 0]\nsmooth = false"),
+        shape("square.glb", "translate = [9, 0, 0]")
+    );
+    let scene = Scene::load(place.write("scene.toml", text)).unwrap();
+    let names: Vec<&str> = scene.materials.iter().map(|material| material.name.as_str()).collect();
+    assert_eq!((names, scene.textures.len()), (vec!["red", "square.glb: wood"], 1));
+    assert_eq!(scene.shapes.iter().map(|shape| shape.material).collect::<Vec<_>>(), [0, 1, 1, 1]);
+    assert_eq!(scene.materials[1].textures.color.unwrap().texture, 0);
+    // What is odd is told once for a file.
+    let told = scene.file_warnings.iter().filter(|warning| warning.to_string().contains("its own"));
+    assert_eq!(told.count(), 1, "{:?}", scene.file_warnings);
+}
+
+/// A PNG file that promises so many black texels and holds next to none.
+fn promise(side: u32) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, side, side);
+    encoder.set_color(png::ColorType::Rgba);
+    encoder.set_depth(png::BitDepth::Eight);
+    let mut writer = encoder.write_header().unwrap();
+    writer.write_chunk(png::chunk::IDAT, &[0x78, 1]).unwrap();
+    drop(writer);
+    bytes
+}
+
+#[test]
+fn texels_are_counted_before_images_are_decoded() {
+    let with = |images: usize| {
+        let mut file = square(json!({}));
+        file.json["materials"] = json!([]);
+        let view = file.view(&promise(8192));
+        for number in 0..images {
+            let image = file.add("images", json!({ "bufferView": view }));
+            file.add("textures", json!({ "source": image }));
+            file.add("materials", json!({ "normalTexture": { "index": number } }));
+        }
+        file
+    };
+    // 2²⁶ texels each: damaged, but not too many.
+    assert!(warns(&with(4).scene(), "and 3 more: a texture that can't be had"));
+    assert!(with(5).problem().contains("has textures of more than 268435456 texels (1 GiB) together"));
+}
+
+#[test]
+fn only_textures_that_are_taken_are_counted() {
+    let mut file = square(json!({ "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 } } }));
+    texture(&mut file, &[RED]);
+    texture(&mut file, &[GREEN]);
+    // Of a material that nothing wears.
+    file.add("materials", json!({ "pbrMetallicRoughness": { "baseColorTexture": { "index": 1 } } }));
+    let scene = file.scene();
+    let taken = CompiledScene::new(&scene).surfaces.taken_images;
+    assert_eq!((scene.textures.len(), taken), (2, 1));
 }
 
 /// A square under the sky whose roughness and metalness a texture of one texel multiplies.

@@ -220,6 +220,6 @@ fn a_model_in_a_scene_is_placed_behind_its_own_nodes_and_may_wear_the_scenes_mat
     assert_eq!(placed.materials.len(), 1);
     let twice = scene("[[shapes]]\ntype = 'mesh'\nfile = 'cube.glb'\ntranslate = [5, 0, 0]");
     let names: Vec<&str> = twice.materials.iter().map(|material| material.name.as_str()).collect();
-    assert_eq!(names, ["red", "cube.glb: default material", "cube.glb: default material [2]"]);
-    assert_eq!(twice.shapes.iter().map(|shape| shape.material).collect::<Vec<_>>(), [1, 2]);
+    assert_eq!(names, ["red", "cube.glb: default material"]);
+    assert_eq!(twice.shapes.iter().map(|shape| shape.material).collect::<Vec<_>>(), [1, 1]);
 }

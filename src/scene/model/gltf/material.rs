@@ -1,7 +1,5 @@
 //! Materials: glTF's metallic-roughness model and the extensions that are read, as qtracer's.
 
-use std::collections::HashSet;
-
 use ::gltf::json::extensions;
 use ::gltf::json::material::{AlphaMode, Material as Given};
 use ::gltf::json::texture::Info;
@@ -10,16 +8,17 @@ use glam::DVec3;
 
 use super::textures::Images;
 use crate::scene::error::quoted;
+use crate::scene::model::Names;
 use crate::scene::model::findings::Findings;
 use crate::scene::{Material, MaterialKind, MaterialTextures};
 
 /// The materials in the order of the file, with names that differ.
 pub(super) fn read(
     given: &[Given],
+    names: &mut Names,
     images: &mut Images<'_>,
     findings: &mut Findings,
 ) -> Result<Vec<Material>, String> {
-    let mut names = HashSet::new();
     let mut materials: Vec<Material> = Vec::with_capacity(given.len());
     for (number, given) in given.iter().enumerate() {
         let name = given
@@ -29,12 +28,8 @@ pub(super) fn read(
             .unwrap_or_else(|| format!("material {number}"));
         let place = format!("material {}", quoted(&name));
         let (kind, emission) = (kind(given, &place, findings), emission(given, &place, findings));
-        let material = Material {
-            name: new_name(name, &mut names),
-            kind,
-            emission,
-            textures: MaterialTextures::default(),
-        };
+        let material =
+            Material { name: names.fresh(name), kind, emission, textures: MaterialTextures::default() };
         materials.push(textured(given, material, images, &place, findings)?);
         tell_of_rest(given, &place, findings);
     }
@@ -42,9 +37,8 @@ pub(super) fn read(
 }
 
 /// The material of primitives that have none, named as no other is.
-pub(super) fn usual(others: &[Material]) -> Material {
-    let mut names = others.iter().map(|material| material.name.clone()).collect();
-    let name = new_name("default material".to_owned(), &mut names);
+pub(super) fn usual(names: &mut Names) -> Material {
+    let name = names.fresh("default material".to_owned());
     let kind = kind(&Given::default(), "", &mut Findings::default());
     Material { name, kind, emission: DVec3::ZERO, textures: MaterialTextures::default() }
 }
@@ -83,15 +77,6 @@ fn textured(
         normal_scale: given.normal_texture.as_ref().map_or(1.0, |info| f64::from(info.scale)),
     };
     Ok(material.textured(textures))
-}
-
-/// The name, or the name with the first number that makes it new.
-fn new_name(name: String, names: &mut HashSet<String>) -> String {
-    let numbered = (2..).map(|number| format!("{name} ({number})"));
-    let free =
-        std::iter::once(name.clone()).chain(numbered).find(|name| !names.contains(name)).unwrap_or(name);
-    names.insert(free.clone());
-    free
 }
 
 fn kind(given: &Given, place: &str, findings: &mut Findings) -> MaterialKind {

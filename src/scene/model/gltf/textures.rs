@@ -1,5 +1,6 @@
 //! Images of textures: in views of buffers, `data:` URIs, or files in the folder of the .gltf file or below.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -10,7 +11,7 @@ use ::gltf::json::{Index, Root};
 use super::accessor::view_bytes;
 use super::buffers::{Buffers, from_uri};
 use crate::scene::model::findings::Findings;
-use crate::scene::texture::check_sum;
+use crate::scene::texture::{check_total, texels_promised};
 use crate::scene::{Texture, TextureRef, Wrap};
 
 /// Bytes of an image file that are read.
@@ -23,12 +24,14 @@ pub(super) struct Images<'a> {
     folder: Option<&'a Path>,
     /// Numbers of textures by those of images; nothing for those that can't be had.
     known: BTreeMap<usize, Option<usize>>,
+    /// Of all images that were met, also of those whose decoding failed.
+    texels: u64,
     pub all: Vec<Texture>,
 }
 
 impl<'a> Images<'a> {
     pub fn new(root: &'a Root, buffers: &'a Buffers<'a>, folder: Option<&'a Path>) -> Self {
-        Images { root, buffers, folder, known: BTreeMap::new(), all: Vec::new() }
+        Images { root, buffers, folder, known: BTreeMap::new(), texels: 0, all: Vec::new() }
     }
 
     /// What a material's slot refers to, if it can be had; `set` is that of the texture coordinates. `Err` says why there are too
@@ -64,7 +67,10 @@ impl<'a> Images<'a> {
         if let Some(&known) = self.known.get(&image) {
             return Ok(known);
         }
-        let decoded = match self.decode(image) {
+        let bytes = self.bytes(image);
+        self.texels += bytes.as_ref().map_or(0, |bytes| texels_promised(bytes));
+        check_total(self.texels)?;
+        let decoded = match bytes.and_then(|bytes| Texture::from_bytes(self.name(image), &bytes)) {
             Ok(texture) => Some(texture),
             Err(problem) => {
                 let what = "a texture that can't be had; its factor is taken alone";
@@ -74,18 +80,21 @@ impl<'a> Images<'a> {
         };
         let number = decoded.is_some().then_some(self.all.len());
         self.all.extend(decoded);
-        check_sum(&self.all)?;
         self.known.insert(image, number);
         Ok(number)
     }
 
-    fn decode(&self, image: usize) -> Result<Texture, String> {
+    /// The image's file.
+    fn bytes(&self, image: usize) -> Result<Cow<'a, [u8]>, String> {
         let given = self.root.images.get(image).ok_or("is not there")?;
-        let name = given.name.clone().unwrap_or_else(|| format!("images[{image}]"));
         match (given.buffer_view, &given.uri) {
-            (Some(view), _) => Texture::from_bytes(name, view_bytes(self.root, self.buffers, view)?),
-            (None, Some(uri)) => Texture::from_bytes(name, &from_uri(uri, LONGEST_FILE, self.folder)?),
+            (Some(view), _) => Ok(Cow::Borrowed(view_bytes(self.root, self.buffers, view)?)),
+            (None, Some(uri)) => Ok(Cow::Owned(from_uri(uri, LONGEST_FILE, self.folder)?)),
             (None, None) => Err("has neither a bufferView nor a uri".to_owned()),
         }
+    }
+
+    fn name(&self, image: usize) -> String {
+        self.root.images[image].name.clone().unwrap_or_else(|| format!("images[{image}]"))
     }
 }
