@@ -477,6 +477,26 @@ fn equal_seeds_give_equal_bytes_and_others_do_not() {
     assert_eq!(place.image("one.exr").rgb, place.image("a.exr").rgb);
 }
 
+/// Reading meshes runs on all threads; how many is said before.
+#[test]
+fn threads_are_limited_before_a_mesh_is_read() {
+    let place = Place::new();
+    let model = place.path("triangle.obj");
+    fs::write(&model, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
+    place.succeed(&[
+        "render",
+        "triangle.obj",
+        "--engine",
+        "cpu",
+        "--size",
+        "8x6",
+        "--spp",
+        "1",
+        "--threads",
+        "1",
+    ]);
+}
+
 #[test]
 fn stats_are_all_that_stdout_holds() {
     let place = Place::new();

@@ -17,15 +17,13 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 pub fn run(args: RenderArgs) -> Result<(), Failure> {
+    // Before the scene is read: that runs on all threads already.
+    limit_threads(args.threads())?;
     let job = args.validate()?;
     job.scene.warnings().iter().for_each(console::warning);
     if let Some(folder) = &job.dump_kernels {
         let written = kernels::dump(folder, &job.scene, &job.options)?;
         note(&job, written);
-    }
-    if let Some(threads) = job.threads {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
-        pool.build_global().map_err(|e| Failure::failed(format!("--threads {threads}: {e}")))?;
     }
     let slot = signals::watch();
     let start = Instant::now();
@@ -39,6 +37,12 @@ pub fn run(args: RenderArgs) -> Result<(), Failure> {
     warn_of_other_scene(&job, &renderer);
     let (end, elapsed) = trace(&mut renderer, &job);
     Ending::new(&job, &renderer, end, preparation, elapsed).conclude()
+}
+
+fn limit_threads(threads: Option<usize>) -> Result<(), Failure> {
+    let Some(threads) = threads else { return Ok(()) };
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+    pool.build_global().map_err(|e| Failure::failed(format!("--threads {threads}: {e}")))
 }
 
 /// What happens before the first sample; what it costs is mostly the hierarchy over the triangles.
@@ -306,7 +310,6 @@ mod tests {
             features: true,
             stats: None,
             dump_kernels: None,
-            threads: None,
             quiet: true,
         }
     }

@@ -235,7 +235,6 @@ pub struct Job {
     pub features: bool,
     pub stats: Option<StatsFormat>,
     pub dump_kernels: Option<PathBuf>,
-    pub threads: Option<usize>,
     pub quiet: bool,
 }
 
@@ -243,6 +242,11 @@ pub struct Job {
 const MAX_SPP_WITH_ERROR: u32 = 65_536;
 
 impl RenderArgs {
+    /// How many threads to run on, if not on all.
+    pub fn threads(&self) -> Option<usize> {
+        self.engine.threads.map(usize::from)
+    }
+
     /// Loads the scene and checks everything that can be wrong.
     pub fn validate(self) -> Result<Job, Failure> {
         let reading = format!("reading {}", self.scene.display());
@@ -298,7 +302,6 @@ impl RenderArgs {
             exposure: self.images.exposure,
             stats: self.stats,
             dump_kernels: self.engine.dump_kernels,
-            threads: self.engine.threads.map(usize::from),
             quiet: self.quiet,
         })
     }

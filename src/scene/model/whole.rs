@@ -4,6 +4,7 @@ use std::path::Path;
 
 use glam::DVec3;
 
+use super::lamps::RADIUS;
 use super::{LampKind, Model, ModelCamera, NOTHING_TO_SHOW, gltf};
 use crate::scene::error::{Fault, quoted, suggestion};
 use crate::scene::mesh::Placement;
@@ -41,6 +42,7 @@ fn whole(mut model: Model, name: String, camera: Option<&str>) -> Result<Scene, 
     let mut shapes = model.place(&Placement::default(), true)?;
     let (middle, diagonal) = extent(&shapes)?;
     let camera = chosen_camera(&mut model, camera, middle, diagonal)?;
+    step_back_lamps(&mut model, &camera, diagonal);
     add_lamps(&mut model, &mut shapes, middle, diagonal);
     let lit = shapes.iter().any(|shape| model.materials[shape.material].is_emissive());
     if !lit {
@@ -122,6 +124,20 @@ fn fitting_camera(middle: DVec3, diagonal: f64) -> Camera {
 fn image_size(aspect: f64) -> (u32, u32) {
     let (width, height) = (LONGEST_SIDE * aspect.min(1.0), LONGEST_SIDE / aspect.max(1.0));
     (width.round().max(1.0) as u32, height.round().max(1.0) as u32)
+}
+
+/// Lamps at the camera would enclose it, and their outsides shine: they are put behind it.
+fn step_back_lamps(model: &mut Model, camera: &Camera, diagonal: f64) {
+    let (radius, view) = (RADIUS * diagonal, (camera.target - camera.origin).normalize());
+    for lamp in model.lamps.iter_mut().filter(|lamp| lamp.kind != LampKind::Sun) {
+        if lamp.position.distance(camera.origin) < 1.5 * radius {
+            lamp.position = camera.origin - 2.0 * radius * view;
+            model.findings.note(
+                "a lamp at the camera; it stands behind it, by 1/256 of the model's diagonal",
+                &lamp.name,
+            );
+        }
+    }
 }
 
 /// Small shapes for lights that have none.

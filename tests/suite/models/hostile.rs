@@ -203,7 +203,9 @@ fn primitives_that_show_nothing_count_too() {
     points["mode"] = json!(0);
     file.json["meshes"][0]["primitives"] = json!(vec![points; 1025]);
     file.json["meshes"][0]["primitives"][0] = primitive;
-    (0..1024).for_each(|_| drop(file.stand(json!({ "mesh": 0 }))));
+    for _ in 0..1024 {
+        file.stand(json!({ "mesh": 0 }));
+    }
     assert!(file.problem().contains("has more than 1048576 primitives, each instance counted"));
     // One node fewer, and they fit.
     file.json["scenes"][0]["nodes"].as_array_mut().unwrap().pop();

@@ -139,6 +139,16 @@ fn point_lights_give_a_floor_their_intensity_over_the_squared_distance() {
     assert!(warns(&scene, "a light without a size"), "{:?}", scene.file_warnings);
 }
 
+/// It would enclose the camera, which would see its dark inside and nothing else.
+#[test]
+fn a_light_at_the_camera_stands_behind_it() {
+    let light = json!({ "type": "point", "intensity": 60.0 });
+    let (scene, mean, error) = floor_under(light, json!({ "translation": [1, 1, 0] }));
+    let distance = 2f64.sqrt() + 2.0 * 128f64.sqrt() / 512.0;
+    agrees([mean, error], 60.0 * f64::from(FRAC_1_SQRT_2) / (distance * distance) / PI, 1e-3);
+    assert!(warns(&scene, "a lamp at the camera"), "{:?}", scene.file_warnings);
+}
+
 #[test]
 fn spot_lights_give_what_they_face_their_intensity_and_nothing_behind() {
     let light = json!({ "type": "spot", "intensity": 60.0, "spot": { "outerConeAngle": 0.5 } });
