@@ -73,9 +73,10 @@ pub fn use_mesh(data: MeshData) {
 
 /// A square that fills the view.
 pub fn square() -> qtracer::scene::SceneBuilder {
-    Scene::builder("square")
-        .camera([0.0, 0.0, 2.0], [0.0; 3], 45.0)
-        .size(3, 2)
-        .environment([0.5; 3])
-        .quad([-1.0, -1.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0], "grey")
+    Scene::builder("square").camera([0.0, 0.0, 2.0], [0.0; 3], 45.0).size(3, 2).environment([0.5; 3]).quad(
+        [-1.0, -1.0, 0.0],
+        [2.0, 0.0, 0.0],
+        [0.0, 2.0, 0.0],
+        "grey",
+    )
 }

@@ -170,8 +170,10 @@ impl Mesh {
     /// Adds the triangles that can be met, and counts the others.
     fn take_in(&mut self, triangles: &[[u32; 3]]) -> Result<(), String> {
         let count = self.positions.len();
-        let mut seen = HashSet::with_capacity(triangles.len());
-        self.triangles.reserve(triangles.len());
+        // Twice as many as a closed surface has. Many more are mostly repetitions, which cost bytes in files that are few.
+        let usual = triangles.len().min(4 * count);
+        let mut seen = HashSet::with_capacity(usual);
+        self.triangles.reserve(usual);
         for (number, triangle) in triangles.iter().enumerate() {
             if let Some(corner) = triangle.iter().find(|&&corner| corner as usize >= count) {
                 return Err(format!(
