@@ -10,6 +10,7 @@ use super::compiled::{CompiledScene, NONE, ShapeIndex};
 use super::triangle::double_area;
 use crate::gpu_struct;
 use glam::{DVec3, Vec3};
+use rayon::prelude::*;
 use std::f32::consts::PI;
 use std::time::Instant;
 
@@ -100,7 +101,7 @@ impl LightTree {
 fn lamps(scene: &CompiledScene) -> Vec<Lamp> {
     let bounds: Vec<(Bounds, f64)> = scene
         .lights
-        .iter()
+        .par_iter()
         .map(|light| {
             let (bounds, area) = match scene.shape_index(light.shape) {
                 ShapeIndex::Sphere(i) => sphere_bounds(scene.spheres[i].center, scene.spheres[i].radius),
@@ -227,14 +228,19 @@ fn child(lamps: &mut [Lamp], clusters: &mut [LightCluster], node: u32) -> (Bound
 /// largest and strongest.
 fn widened(halves: &[LightCluster], all: LightCluster) -> Vec<LightCluster> {
     let mut clusters = vec![all];
-    let mut next = 0;
-    while let Some(&LightCluster { inside, .. }) = clusters.get(next) {
-        if inside & LIGHT == 0 {
-            let node = opened(halves, inside);
-            clusters[next].inside = clusters.len() as u32 | (node.len() as u32 - 1) << COUNT_SHIFT;
-            clusters.extend(node.iter().map(|cluster| LightCluster { above: next as u32, ..*cluster }));
+    let mut level = 0..1;
+    while !level.is_empty() {
+        let held = |cluster: &LightCluster| match cluster.inside & LIGHT {
+            0 => opened(halves, cluster.inside),
+            _ => Vec::new(),
+        };
+        let nodes: Vec<Vec<LightCluster>> = clusters[level.clone()].par_iter().map(held).collect();
+        let next = clusters.len();
+        for (i, node) in level.zip(nodes).filter(|(_, node)| !node.is_empty()) {
+            clusters[i].inside = clusters.len() as u32 | (node.len() as u32 - 1) << COUNT_SHIFT;
+            clusters.extend(node.into_iter().map(|cluster| LightCluster { above: i as u32, ..cluster }));
         }
-        next += 1;
+        level = next..clusters.len();
     }
     clusters
 }

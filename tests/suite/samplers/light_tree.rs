@@ -337,16 +337,19 @@ fn trees_are_built_where_lights_are_many() {
     }
 }
 
+/// Seconds are the machine's; that they grow about as the number of lamps is the program's. 64 times as many took 61 times as
+/// long on two idle cores; a step that asked all lamps for each would take 4096 times as long.
 #[test]
 #[ignore = "long: a million lamps; tests/run --long"]
-fn a_tree_over_a_million_lamps_is_built_within_a_second() {
-    for levels in [5, 8] {
+fn building_a_tree_takes_time_about_as_the_number_of_lamps() {
+    let [few, many] = [5, 8].map(|levels| {
         let mut scene = mesh_lamp(levels);
         let again = qtracer::scene::light_tree::LightTree::new(&mut scene);
         let first = scene.light_tree.as_ref().unwrap();
         assert_eq!(again.clusters, first.clusters, "threads make no difference");
         let seconds = again.seconds.min(first.seconds);
         println!("{} triangles: {seconds:.3} s", scene.lights.len());
-        assert!(seconds < 1.0, "{seconds}");
-    }
+        seconds
+    });
+    assert!(many < 200.0 * few, "{many} s against {few} s");
 }
