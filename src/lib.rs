@@ -35,6 +35,7 @@ pub mod sampling;
 pub mod scene;
 pub mod stats;
 pub mod transport;
+pub mod untrusted;
 
 pub use engine::{CancelToken, EngineChoice, EngineKind, RenderError, RenderOptions, RenderStats, Renderer};
 pub use film::{Film, Image};

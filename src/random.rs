@@ -16,7 +16,7 @@ pub enum Sampler {
 }
 
 /// What numbers an event may draw. Camera: film position. Per bounce one block for the BSDF (u, v, lobe, roulette)
-/// and one for the light (choice, u, v).
+/// and one for the light (choice, u, v; then map or lamp, and more digits of the choice).
 pub const DIMENSION_CAMERA: u32 = 0;
 #[inline]
 pub fn dimension_bsdf(bounce: u32) -> u32 {

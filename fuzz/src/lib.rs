@@ -14,8 +14,7 @@ const MOST_RENDERED: usize = 3_000;
 /// A panic in qtracer's own code is a finding even where the library would catch it. Decoders of others may panic where
 /// qtracer makes an error of that, so theirs are findings only if nothing catches them.
 pub fn prepare() {
-    // SAFETY: no other thread is there yet.
-    unsafe { std::env::set_var("RAYON_NUM_THREADS", "1") };
+    rayon::ThreadPoolBuilder::new().num_threads(1).build_global().expect("called once, before anything else");
     let abort = panic::take_hook();
     let shown = std::env::var_os("FUZZ_SHOW_PANICS").is_some();
     panic::set_hook(Box::new(move |panic| {

@@ -3,7 +3,6 @@
 
 use std::fs;
 use std::io::{self, Cursor};
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
 use image::{DynamicImage, ImageDecoder, ImageReader, Limits};
@@ -11,14 +10,10 @@ use image::{DynamicImage, ImageDecoder, ImageReader, Limits};
 use super::exr_file::{self, DecodeError};
 use super::srgb::srgb_to_linear;
 use super::{Image, ImageError};
+use crate::untrusted::{memory_for, unless_it_panics};
 
 /// More pixels than this are taken for damage.
 pub const MAX_PIXELS: usize = 1 << 28;
-
-/// Memory per byte of file that no compression of real images exceeds (deflate reaches 1032).
-const MAX_EXPANSION: usize = 1 << 12;
-/// Memory always allowed.
-const FREE_BYTES: usize = 1 << 24;
 
 /// Reads .exr (ours with all layers; others' R, G, B), .png, .jpg (decoded from sRGB to linear) and .hdr.
 /// The content decides, not the name.
@@ -38,9 +33,7 @@ fn decode(bytes: &[u8]) -> Result<Image, DecodeError> {
     let decode = || {
         if bytes.starts_with(&EXR_MAGIC) { decode_exr(bytes) } else { decode_other(bytes) }
     };
-    // Decoders of others may panic on what their authors have not thought of.
-    catch_unwind(AssertUnwindSafe(decode))
-        .unwrap_or_else(|_| Err(DecodeError::Damaged("it is damaged".to_string())))
+    unless_it_panics(DecodeError::Damaged("it is damaged".to_string()), decode)
 }
 
 /// Devices and pipes may have no end.
@@ -74,9 +67,8 @@ fn plausible_pixels(width: usize, height: usize) -> bool {
 
 /// Whether a file of `file_bytes` may ask for so many 4-byte samples.
 fn plausible(file_bytes: usize, width: usize, height: usize, channels: usize) -> bool {
-    let budget = file_bytes.saturating_mul(MAX_EXPANSION).saturating_add(FREE_BYTES);
     let needed = width.saturating_mul(height).saturating_mul(channels).saturating_mul(4);
-    plausible_pixels(width, height) && needed <= budget
+    plausible_pixels(width, height) && needed as u64 <= memory_for(file_bytes)
 }
 
 fn decode_exr(bytes: &[u8]) -> Result<Image, DecodeError> {
@@ -91,7 +83,7 @@ fn decode_other(bytes: &[u8]) -> Result<Image, DecodeError> {
         return Err(DecodeError::Damaged("it is no image of a known kind".to_string()));
     }
     let mut limits = Limits::no_limits();
-    limits.max_alloc = Some(bytes.len().saturating_mul(MAX_EXPANSION).saturating_add(FREE_BYTES) as u64);
+    limits.max_alloc = Some(memory_for(bytes.len()));
     reader.limits(limits);
     let decoder = reader.into_decoder().map_err(damaged)?;
     let (width, height) = decoder.dimensions();

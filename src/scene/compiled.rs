@@ -227,8 +227,8 @@ impl CompiledScene {
             }
         }
         compiled.sort_quads();
-        compiled.find_lights();
-        let share = environment_share(&compiled);
+        let lamps_power = compiled.find_lights();
+        let share = environment_share(&compiled, lamps_power);
         compiled.sky.iter_mut().for_each(|sky| sky.share = share);
         compiled.light_tree = (compiled.lights.len() >= FEWEST_LIGHTS).then(|| LightTree::new(&mut compiled));
         compiled.bvh = (!compiled.is_small()).then(|| Bvh::new(&compiled));
@@ -260,15 +260,6 @@ impl CompiledScene {
         }
     }
 
-    /// Index among the quads of a shape number, None if it is no quad.
-    #[inline]
-    pub fn quad_index(&self, shape: u32) -> Option<usize> {
-        match self.shape_index(shape) {
-            ShapeIndex::Quad(i) => Some(i),
-            _ => None,
-        }
-    }
-
     /// How many shapes there are.
     pub fn shape_count(&self) -> usize {
         self.spheres.len() + self.quads.len() + self.triangles.len()
@@ -294,13 +285,13 @@ impl CompiledScene {
         emission.as_dvec3().element_sum()
     }
 
-    /// Every emitting shape, chosen with probability proportional to its power.
-    fn find_lights(&mut self) {
-        let CompiledScene { spheres, quads, triangles, materials, lights, surfaces, .. } = self;
+    /// Every emitting shape, chosen with probability proportional to its power; returns the power of all, over π.
+    fn find_lights(&mut self) -> f64 {
+        let emissions: Vec<f64> = (0..self.materials.len() as u32).map(|m| self.mean_emission(m)).collect();
+        let CompiledScene { spheres, quads, triangles, lights, .. } = self;
         let mut powers = Vec::new();
         let mut register = |shape: usize, material: u32, area: f64| -> u32 {
-            let emission = materials[material as usize].emission * surfaces.mean_emission(material);
-            let power = emission.as_dvec3().element_sum() * area;
+            let power = emissions[material as usize] * area;
             if power <= 0.0 {
                 return NONE;
             }
@@ -325,6 +316,7 @@ impl CompiledScene {
             light.threshold = row.threshold;
             light.alias_index = row.alias;
         }
+        powers.iter().sum()
     }
 
     /// A number that differs between different pictures (FNV-1a over geometry, materials and camera), so that shards of
@@ -365,28 +357,9 @@ impl CompiledScene {
         let right = forward.cross(camera.up).normalize();
         let half_height = (camera.fov_y_deg.to_radians() * 0.5).tan();
         let half_width = half_height * f64::from(width) / f64::from(height);
-        let [
-            _,
-            _,
-            first_sphere_rest_row,
-            first_quad_rest_row,
-            first_triangle_row,
-            first_material_row,
-            first_light_row,
-            first_node_row,
-            first_triangle_normals_row,
-            first_triangle_uvs_row,
-            first_material_maps_row,
-            first_texture_image_row,
-            first_texel_row,
-            first_srgb_row,
-            first_sky_row,
-            first_sky_cell_row,
-            first_cluster_row,
-        ] = rows::first_rows(self);
         let (sky_width, sky_height, sky_turn, environment_share) =
             self.sky.as_ref().map_or((0, 0, 0.0, 0.0), |sky| (sky.width, sky.height, sky.turn, sky.share));
-        Uniforms {
+        let mut uniforms = Uniforms {
             camera_origin: camera.origin.as_vec3(),
             seed,
             camera_right: (right * half_width).as_vec3(),
@@ -400,27 +373,14 @@ impl CompiledScene {
             triangle_count: self.triangles.len() as u32,
             light_count: self.lights.len() as u32,
             grain: 1,
-            first_sphere_rest_row,
-            first_quad_rest_row,
-            first_triangle_row,
-            first_material_row,
-            first_light_row,
-            first_node_row,
-            first_triangle_normals_row,
-            first_triangle_uvs_row,
-            first_material_maps_row,
-            first_texture_image_row,
-            first_texel_row,
-            first_srgb_row,
-            first_sky_row,
-            first_sky_cell_row,
             sky_width,
             sky_height,
             sky_turn,
             environment_share,
-            first_cluster_row,
             ..Default::default()
-        }
+        };
+        rows::tell_first_rows(self, &mut uniforms);
+        uniforms
     }
 }
 

@@ -1,7 +1,7 @@
 //! The keys of a scene file and what they mean: a tree in, a validated [`Scene`] out.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use glam::DVec3;
 
@@ -10,13 +10,10 @@ use super::document::{Node, Value};
 use super::environment;
 use super::error::{Fault, SceneError, quoted, suggestion};
 use super::fields::Fields;
-use super::mesh::file::of_scene;
-use super::model::{self, Model, Names};
-use super::texture::{MaterialTextures, Texture, TextureFiles, TextureRef, Wrap, check_sum};
+use super::model::PlacedModels;
+use super::texture::{MaterialTextures, TextureFiles, TextureRef, Wrap};
 use super::validate::{self, material_label, shape_label};
-use super::{
-    Camera, Defaults, EnvironmentMap, Geometry, Material, MaterialKind, Placement, Scene, SceneWarning, Shape,
-};
+use super::{Camera, Defaults, EnvironmentMap, Geometry, Material, MaterialKind, Placement, Scene, Shape};
 
 const TOP_KEYS: [&str; 7] = ["name", "description", "camera", "environment", "render", "materials", "shapes"];
 const MATERIAL_TYPES: [&str; 7] =
@@ -34,8 +31,8 @@ pub(super) fn scene(root: &Node, folder: Option<&Path>) -> Result<Scene, SceneEr
     let mut materials = materials(top.node("materials"), &mut files)?;
     let names =
         materials.iter().enumerate().map(|(index, material)| (material.name.clone(), index)).collect();
-    let mut models = Models::new(names, folder, &mut materials, &mut files.all);
-    let shapes = shapes(top.node("shapes"), &mut models)?;
+    let mut models = PlacedModels::new(folder, &mut materials, &mut files.all);
+    let shapes = shapes(top.node("shapes"), &names, &mut models)?;
     let file_warnings = models.warnings();
     let (radiance, environment_map) =
         section(&top, "environment", |fields| environment(fields, folder))?.unwrap_or_default();
@@ -250,30 +247,11 @@ fn material_kind(fields: &Fields<'_>) -> Result<MaterialKind, Fault> {
     }
 }
 
-/// What shapes are read with, and what those from files add to.
-struct Models<'a> {
-    /// Of the scene's own materials.
-    names: MaterialNames,
-    folder: Option<&'a Path>,
-    materials: &'a mut Vec<Material>,
-    /// Theirs, and those of the files.
-    all_names: Names,
-    textures: &'a mut Vec<Texture>,
-    /// Numbers of files by where they lie.
-    numbers: BTreeMap<PathBuf, usize>,
-    read: Vec<ReadModel>,
-}
-
-/// A file that was read, however often it is placed.
-struct ReadModel {
-    /// As the scene called it first.
-    file: String,
-    model: Model,
-    /// The number of its first material, once the scene has taken them.
-    first: Option<usize>,
-}
-
-fn shapes(node: Option<&Node>, models: &mut Models<'_>) -> Result<Vec<Shape>, SceneError> {
+fn shapes(
+    node: Option<&Node>,
+    names: &MaterialNames,
+    models: &mut PlacedModels<'_>,
+) -> Result<Vec<Shape>, SceneError> {
     let Some(node) = node else {
         return Ok(Vec::new());
     };
@@ -283,7 +261,7 @@ fn shapes(node: Option<&Node>, models: &mut Models<'_>) -> Result<Vec<Shape>, Sc
     };
     let mut shapes = Vec::with_capacity(list.len());
     for (index, node) in list.iter().enumerate() {
-        let sides = shape(node, models)
+        let sides = shape(node, names, models)
             .map_err(|fault| fault.of(&shape_label(index, shape_name(node)), node.line))?;
         shapes.extend(sides);
     }
@@ -301,15 +279,15 @@ fn shape_name(node: &Node) -> Option<&str> {
     }
 }
 
-fn shape(node: &Node, models: &mut Models<'_>) -> Result<Vec<Shape>, Fault> {
+fn shape(node: &Node, names: &MaterialNames, models: &mut PlacedModels<'_>) -> Result<Vec<Shape>, Fault> {
     let fields = Fields::of(node)?;
     let kind: String = fields.need("type")?;
     if kind == "mesh" {
-        return meshed(&fields, models);
+        return meshed(&fields, names, models);
     }
     let sides = geometry(&fields, &kind)?;
     let name: Option<String> = fields.get("name")?;
-    let material = own_material(&fields, &models.names)?;
+    let material = own_material(&fields, names)?;
     Ok(sides.into_iter().map(|geometry| Shape { name: name.clone(), material, geometry }).collect())
 }
 
@@ -345,7 +323,11 @@ fn boxed(fields: &Fields<'_>) -> Result<Vec<Geometry>, Fault> {
     Ok(box_quads(center, size, rotate_y_deg).to_vec())
 }
 
-fn meshed(fields: &Fields<'_>, models: &mut Models<'_>) -> Result<Vec<Shape>, Fault> {
+fn meshed(
+    fields: &Fields<'_>,
+    names: &MaterialNames,
+    models: &mut PlacedModels<'_>,
+) -> Result<Vec<Shape>, Fault> {
     fields.only(&["type", "name", "material", "file", "scale", "rotate_y_deg", "translate", "smooth"])?;
     let usual = Placement::default();
     let placement = Placement {
@@ -355,82 +337,24 @@ fn meshed(fields: &Fields<'_>, models: &mut Models<'_>) -> Result<Vec<Shape>, Fa
     };
     validate::placement(&placement).map_err(|problem| fields.broken(problem))?;
     let file: String = fields.need("file")?;
-    let path = of_scene(&file, models.folder).map_err(|problem| fields.broken(problem))?;
-    let name: Option<String> = fields.get("name")?;
-    let own = fields.node("material").is_none() && model::has_materials(&path);
-    let material = if own { None } else { Some(own_material(fields, &models.names)?) };
     let broken = |problem| fields.broken(format!("file {} {problem}", quoted(&file)));
-    let number = models.number(&file, path).map_err(broken)?;
-    let model = &mut models.read[number].model;
+    let number = models.number(&file).map_err(broken)?;
+    let own = fields.node("material").is_none() && models.has_materials(number);
+    let material = if own { None } else { Some(own_material(fields, names)?) };
     let smooth = fields.get("smooth")?;
-    match smooth {
-        Some(true) if model.surfaces.iter().any(|surface| surface.data.normals.is_empty()) => {
-            let problem = format!(
-                "smooth needs normals, which file {} does not have; write it with them",
-                quoted(&file)
-            );
-            return Err(fields.broken(problem));
-        }
-        _ => {}
+    if smooth == Some(true) && !models.has_normals(number) {
+        let file = quoted(&file);
+        let problem = format!("smooth needs normals, which file {file} does not have; write it with them");
+        return Err(fields.broken(problem));
     }
-    let mut shapes = model.place(&placement, smooth != Some(false)).map_err(broken)?;
-    if shapes.is_empty() {
-        return Err(broken(model::NOTHING_TO_SHOW.to_owned()));
-    }
+    let mut shapes = models.place(number, &placement, smooth != Some(false)).map_err(broken)?;
     let first = if own { models.first_material(number).map_err(broken)? } else { 0 };
+    let name: Option<String> = fields.get("name")?;
     for shape in &mut shapes {
         shape.material = material.unwrap_or(first + shape.material);
         shape.name = name.clone().or(shape.name.take());
     }
     Ok(shapes)
-}
-
-impl<'a> Models<'a> {
-    fn new(
-        names: MaterialNames,
-        folder: Option<&'a Path>,
-        materials: &'a mut Vec<Material>,
-        textures: &'a mut Vec<Texture>,
-    ) -> Self {
-        let all_names = Names::of(names.keys().map(String::as_str));
-        let (numbers, read) = (BTreeMap::new(), Vec::new());
-        Models { names, folder, materials, all_names, textures, numbers, read }
-    }
-
-    /// The number of the file that lies there, read if it is new. `Err` says what is wrong.
-    fn number(&mut self, file: &str, path: PathBuf) -> Result<usize, String> {
-        if let Some(&number) = self.numbers.get(&path) {
-            return Ok(number);
-        }
-        let number = self.read.len();
-        self.read.push(ReadModel { file: file.to_owned(), model: Model::load(&path)?, first: None });
-        self.numbers.insert(path, number);
-        Ok(number)
-    }
-
-    /// The number that the first material of a file has in the scene. They are added once, under names that no other has, and
-    /// their textures.
-    fn first_material(&mut self, number: usize) -> Result<usize, String> {
-        let ReadModel { file, model, first } = &mut self.read[number];
-        if let Some(first) = *first {
-            return Ok(first);
-        }
-        let (place, first_texture) = (self.materials.len(), self.textures.len());
-        self.textures.append(&mut model.textures);
-        check_sum(self.textures)?;
-        for mut material in std::mem::take(&mut model.materials) {
-            material.textures.move_by(first_texture);
-            let name = self.all_names.fresh(format!("{file}: {}", material.name));
-            self.materials.push(Material { name, ..material });
-        }
-        *first = Some(place);
-        Ok(place)
-    }
-
-    /// What was odd about the files.
-    fn warnings(self) -> Vec<SceneWarning> {
-        self.read.into_iter().flat_map(|mut read| read.model.placed_warnings(&read.file)).collect()
-    }
 }
 
 /// The index of a material, or which name may have been meant.

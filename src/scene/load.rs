@@ -1,15 +1,17 @@
 //! Scenes from files and text.
 
-use std::fs::File;
-use std::io::{ErrorKind, Read};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::document::Node;
 use super::error::{Fault, quoted};
+use super::files::FileKind;
 use super::{Scene, SceneError, description, model};
 
-/// Larger files are refused unread.
-const LARGEST_FILE: u64 = 64 << 20;
+const SCENES: FileKind = FileKind {
+    most_bytes: 64 << 20,
+    wanted: "a .toml or .json file",
+    smaller: "split the scene or describe less",
+};
 
 #[derive(Clone, Copy)]
 enum Format {
@@ -112,63 +114,13 @@ fn format(path: &Path) -> Result<Format, String> {
 }
 
 fn read(path: &Path) -> Result<String, String> {
-    let kind = std::fs::metadata(path).map_err(|error| io_problem(&error))?;
-    if kind.is_dir() {
+    if path.is_dir() {
         return Err("is a directory; name a scene file in it".to_owned());
     }
-    if !kind.is_file() {
-        return Err("is not a regular file; copy the scene into one".to_owned());
-    }
+    SCENES.length(path)?;
     format(path)?;
-    let mut bytes = Vec::new();
-    let file = File::open(path).map_err(|error| io_problem(&error))?;
-    file.take(LARGEST_FILE + 1).read_to_end(&mut bytes).map_err(|error| io_problem(&error))?;
-    if bytes.len() as u64 > LARGEST_FILE {
-        return Err(format!("is larger than {} MiB; split the scene or describe less", LARGEST_FILE >> 20));
-    }
+    let bytes = SCENES.bytes(path, u64::MAX)?;
     String::from_utf8(bytes).map_err(|error| {
         format!("is not UTF-8 text (byte {}); save it as plain text", error.utf8_error().valid_up_to())
     })
-}
-
-pub(super) fn io_problem(error: &std::io::Error) -> String {
-    match error.kind() {
-        ErrorKind::NotFound => "no such file; check the path".to_owned(),
-        ErrorKind::PermissionDenied => "can't be read: permission denied; check its mode".to_owned(),
-        _ => format!("can't be read: {error}"),
-    }
-}
-
-/// Refuses images whose header promises more than so many bytes of file can hold, before anything is allocated. No compression
-/// of real images exceeds the share (deflate reaches 1032); small ones are always allowed.
-pub(super) fn plausible_image(
-    file_bytes: usize,
-    width: u32,
-    height: u32,
-    texel_bytes: u64,
-) -> Result<(), String> {
-    const MOST_EXPANSION: u64 = 1 << 12;
-    const ALWAYS: u64 = 1 << 24;
-    let needed = u64::from(width) * u64::from(height) * texel_bytes;
-    match needed <= ALWAYS + (file_bytes as u64).saturating_mul(MOST_EXPANSION) {
-        true => Ok(()),
-        false => Err(format!(
-            "is {width} x {height}, more than its {file_bytes} bytes can hold; it is cut short or damaged, write it anew"
-        )),
-    }
-}
-
-/// The file that a scene in this folder calls so; links and `..` are followed, and must stay within. `Err` says what is wrong.
-pub(super) fn within_folder(folder: Option<&Path>, name: &str) -> Result<PathBuf, String> {
-    let folder =
-        folder.ok_or("is looked for beside the scene, which has no folder; load the scene from a file")?;
-    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
-    let folder = folder.canonicalize().map_err(|error| io_problem(&error))?;
-    let path = folder.join(name).canonicalize().map_err(|error| io_problem(&error))?;
-    match path.starts_with(&folder) {
-        true => Ok(path),
-        false => {
-            Err("lies outside the scene's folder; copy it there and name it relative to the scene".to_owned())
-        }
-    }
 }

@@ -81,6 +81,7 @@ mod description;
 mod document;
 mod error;
 mod fields;
+mod files;
 mod load;
 mod resolution;
 #[cfg(test)]
@@ -149,7 +150,7 @@ pub struct Defaults {
     pub spp: u32,
     /// Levels of a path, 1 to 64: 1 sees emitters only. 64 unless said.
     pub max_bounces: u32,
-    /// Sample lights directly at each diffuse or glossy hit. True unless said.
+    /// Sample lamps and the environment map directly at each hit of a material that is not smooth glass. True unless said.
     pub direct_light: bool,
     /// End faint paths early by Russian roulette, without bias. True unless said.
     pub roulette: bool,

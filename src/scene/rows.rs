@@ -2,7 +2,7 @@
 //! reads of the shapes lies together in the first two, apart from what only a hit needs.
 //! GPU twin: kernels/scene/data.wesl
 
-use super::compiled::{CompiledScene, Light, Material, Quad, Sphere, Triangle};
+use super::compiled::{CompiledScene, Light, Material, Quad, Sphere, Triangle, Uniforms};
 use super::environment::{SkyCell, SkyRow};
 use super::light_tree::LightCluster;
 use super::surfaces::{MaterialMaps, Surfaces, TextureImage, TriangleNormals, TriangleUvs};
@@ -17,20 +17,28 @@ pub type Row = [u32; 4];
 pub const SPHERE_HOT_ROWS: usize = offset_of!(Sphere, material) / size_of::<Row>();
 pub const QUAD_HOT_ROWS: usize = offset_of!(Quad, e1) / size_of::<Row>();
 
+/// Which uniform tells the kernels where a part begins.
+type Told = fn(&mut Uniforms) -> &mut u32;
+
 /// These rows of every item of an array, item after item.
 struct Part<'a> {
     rows: &'a [Row],
     rows_per_item: usize,
     wanted: Range<usize>,
+    told: Option<Told>,
 }
 
 impl<'a> Part<'a> {
     fn new<T: GpuStruct>(items: &'a [T], wanted: Range<usize>) -> Self {
-        Part { rows: bytemuck::cast_slice(items), rows_per_item: T::ROWS, wanted }
+        Part { rows: bytemuck::cast_slice(items), rows_per_item: T::ROWS, wanted, told: None }
     }
 
     fn of_rows(rows: &'a [Row]) -> Self {
-        Part { rows, rows_per_item: 1, wanted: 0..1 }
+        Part { rows, rows_per_item: 1, wanted: 0..1, told: None }
+    }
+
+    fn told_by(self, told: Told) -> Self {
+        Part { told: Some(told), ..self }
     }
 
     fn len(&self) -> usize {
@@ -42,30 +50,31 @@ impl<'a> Part<'a> {
     }
 }
 
-/// The parts in the order in which they lie in the buffer.
-fn parts(scene: &CompiledScene) -> [Part<'_>; 17] {
+/// The parts in the order in which they lie in the buffer. Kernels know where the first two begin. Clusters of lamps come last, so
+/// that a picture's fingerprint does not depend on how lamps are chosen.
+fn parts(scene: &CompiledScene) -> Vec<Part<'_>> {
     let Surfaces { normals, uvs, maps, images, texels, srgb, .. } = &scene.surfaces;
     let clusters = scene.light_tree.as_ref().map_or(&[][..], |tree| &tree.clusters);
     let nodes = scene.bvh.as_ref().map_or(&[][..], |bvh| &bvh.rows);
     let (sky_rows, sky_cells) = scene.sky.as_ref().map_or((&[][..], &[][..]), |sky| (&sky.rows, &sky.cells));
-    [
+    vec![
         Part::new(&scene.spheres, 0..SPHERE_HOT_ROWS),
         Part::new(&scene.quads, 0..QUAD_HOT_ROWS),
-        Part::new(&scene.spheres, SPHERE_HOT_ROWS..Sphere::ROWS),
-        Part::new(&scene.quads, QUAD_HOT_ROWS..Quad::ROWS),
-        Part::new(&scene.triangles, 0..Triangle::ROWS),
-        Part::new(&scene.materials, 0..Material::ROWS),
-        Part::new(&scene.lights, 0..Light::ROWS),
-        Part::of_rows(nodes),
-        Part::new(normals, 0..TriangleNormals::ROWS),
-        Part::new(uvs, 0..TriangleUvs::ROWS),
-        Part::new(maps, 0..MaterialMaps::ROWS),
-        Part::new(images, 0..TextureImage::ROWS),
-        Part::of_rows(texels),
-        Part::of_rows(srgb),
-        Part::new(sky_rows, 0..SkyRow::ROWS),
-        Part::new(sky_cells, 0..SkyCell::ROWS),
-        Part::new(clusters, 0..LightCluster::ROWS),
+        Part::new(&scene.spheres, SPHERE_HOT_ROWS..Sphere::ROWS).told_by(|u| &mut u.first_sphere_rest_row),
+        Part::new(&scene.quads, QUAD_HOT_ROWS..Quad::ROWS).told_by(|u| &mut u.first_quad_rest_row),
+        Part::new(&scene.triangles, 0..Triangle::ROWS).told_by(|u| &mut u.first_triangle_row),
+        Part::new(&scene.materials, 0..Material::ROWS).told_by(|u| &mut u.first_material_row),
+        Part::new(&scene.lights, 0..Light::ROWS).told_by(|u| &mut u.first_light_row),
+        Part::of_rows(nodes).told_by(|u| &mut u.first_node_row),
+        Part::new(normals, 0..TriangleNormals::ROWS).told_by(|u| &mut u.first_triangle_normals_row),
+        Part::new(uvs, 0..TriangleUvs::ROWS).told_by(|u| &mut u.first_triangle_uvs_row),
+        Part::new(maps, 0..MaterialMaps::ROWS).told_by(|u| &mut u.first_material_maps_row),
+        Part::new(images, 0..TextureImage::ROWS).told_by(|u| &mut u.first_texture_image_row),
+        Part::of_rows(texels).told_by(|u| &mut u.first_texel_row),
+        Part::of_rows(srgb).told_by(|u| &mut u.first_srgb_row),
+        Part::new(sky_rows, 0..SkyRow::ROWS).told_by(|u| &mut u.first_sky_row),
+        Part::new(sky_cells, 0..SkyCell::ROWS).told_by(|u| &mut u.first_sky_cell_row),
+        Part::new(clusters, 0..LightCluster::ROWS).told_by(|u| &mut u.first_cluster_row),
     ]
 }
 
@@ -84,10 +93,9 @@ pub const ALIGNED_ROWS: usize = 2;
 
 /// What every ray reads of a small scene: spheres and aligned quads in brief, the first rows of other quads.
 pub fn hot(scene: &CompiledScene) -> Vec<Row> {
-    let [_, quads, ..] = parts(scene);
     let (aligned, others) = scene.quads.split_at(scene.aligned.iter().sum());
     let aligned = aligned.iter().flat_map(|quad| aligned_rows(quad, quad.axis().unwrap_or(0)));
-    let others = Part::new(others, quads.wanted.clone());
+    let others = Part::new(others, 0..QUAD_HOT_ROWS);
     scene.spheres.iter().map(sphere_row).chain(aligned).chain(others.rows()).collect()
 }
 
@@ -106,14 +114,15 @@ fn aligned_rows(quad: &Quad, axis: usize) -> [Row; ALIGNED_ROWS] {
     [row([quad.corner[axis], quad.corner[u], quad.corner[v], scale[u]]), row([scale[v], 0.0, 0.0, 0.0])]
 }
 
-/// The number of the first row of each part.
-pub fn first_rows(scene: &CompiledScene) -> [u32; 17] {
+/// Tells the uniforms where each part begins.
+pub fn tell_first_rows(scene: &CompiledScene, uniforms: &mut Uniforms) {
     let mut next = 0;
-    parts(scene).map(|part| {
-        let first = next;
+    for part in parts(scene) {
+        if let Some(told) = part.told {
+            *told(uniforms) = next;
+        }
         next += part.len() as u32;
-        first
-    })
+    }
 }
 
 #[cfg(test)]
@@ -158,7 +167,7 @@ mod tests {
             let scene = numbered_scene(spheres, quads, triangles);
             let rows = pack(&scene);
             let at = scene.uniforms(&camera(), 1, 1, 0);
-            let first_quad_row = first_rows(&scene)[1];
+            let first_quad_row = (SPHERE_HOT_ROWS * spheres) as u32;
             for (i, sphere) in scene.spheres.iter().enumerate() {
                 assert_eq!(item::<Sphere>(&rows, i, SPHERE_HOT_ROWS, 0, at.first_sphere_rest_row), *sphere);
             }

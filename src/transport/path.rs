@@ -237,23 +237,16 @@ impl<'a> Transport<'a> {
         })
     }
 
-    /// Next-event estimation: one light, one direction, to be tested for occlusion. None where nothing can arrive. Its
-    /// radiance is what arrives at this surface's viewer, throughput not included.
+    /// Direct light from a lamp. What `u.w` has above the map's share chooses among many.
     #[inline(always)]
-    fn direct_light(
+    fn lamp_light(
         &self,
         ray: &RayItem,
         surface: &Surface,
-        normal: Vec3,
+        (normal, facing): (Vec3, Vec3),
         material: &Material,
-        key: SampleKey,
+        u: Vec4,
     ) -> Option<ShadowItem> {
-        let u = sample4(self.sampler, key, dimension_light(bounce_of(ray)));
-        let outside = ray.direction.dot(surface.normal) < 0.0;
-        let facing = if outside { surface.normal } else { -surface.normal };
-        if u.w < self.uniforms.environment_share {
-            return self.sky_light(ray, surface, (normal, facing), material, u);
-        }
         // The point that the continued ray will leave from, so that both strategies measure the light from the same place.
         let mut origin = spawn_ray(surface, facing).origin;
         let share = 1.0 - self.uniforms.environment_share;
@@ -273,6 +266,7 @@ impl<'a> Transport<'a> {
         if pdf <= 0.0 || !keeps_side(normal, facing, towards.wi) {
             return None;
         }
+        let outside = ray.direction.dot(surface.normal) < 0.0;
         let bsdf = bsdf_evaluate(material, normal, -ray.direction, outside, towards.wi);
         if bsdf.value.max_element() <= 0.0 {
             return None;
@@ -293,6 +287,26 @@ impl<'a> Transport<'a> {
             radiance: bsdf.value * emission * (weight / pdf),
             light_shape: light.shape,
         })
+    }
+
+    /// Next-event estimation: one light, one direction, to be tested for occlusion. None where nothing can arrive. Its
+    /// radiance is what arrives at this surface's viewer, throughput not included.
+    #[inline(always)]
+    fn direct_light(
+        &self,
+        ray: &RayItem,
+        surface: &Surface,
+        normal: Vec3,
+        material: &Material,
+        key: SampleKey,
+    ) -> Option<ShadowItem> {
+        let u = sample4(self.sampler, key, dimension_light(bounce_of(ray)));
+        let outside = ray.direction.dot(surface.normal) < 0.0;
+        let facing = if outside { surface.normal } else { -surface.normal };
+        match u.w < self.uniforms.environment_share {
+            true => self.sky_light(ray, surface, (normal, facing), material, u),
+            false => self.lamp_light(ray, surface, (normal, facing), material, u),
+        }
     }
 
     /// The direction in which the path would go on, chosen by the material, or by the guide among what its Lambertian
@@ -352,6 +366,17 @@ impl<'a> Transport<'a> {
         })
     }
 
+    /// Whether a ray comes from the outer side of a surface, and the normal by which the material answers, on the ray's side.
+    #[inline(always)]
+    fn viewed(&self, ray: &RayItem, surface: &Surface, material: &Material) -> (bool, Vec3) {
+        let outside = ray.direction.dot(surface.normal) < 0.0;
+        let facing = if outside { surface.normal } else { -surface.normal };
+        match self.scene.surfaces.bends_normals() {
+            false => (outside, facing),
+            true => (outside, viewed_normal(surface, facing, outside, -ray.direction, material.kind)),
+        }
+    }
+
     /// Everything that happens where a ray meets a surface.
     #[inline(always)]
     pub fn shade(&self, ray: &RayItem, trail: &Trail, hit: Hit) -> ShadeOutcome {
@@ -375,12 +400,7 @@ impl<'a> Transport<'a> {
         }
 
         let key = self.sample_key(ray.path);
-        let outside = ray.direction.dot(surface.normal) < 0.0;
-        let facing = if outside { surface.normal } else { -surface.normal };
-        let normal = match self.scene.surfaces.bends_normals() {
-            false => facing,
-            true => viewed_normal(&surface, facing, outside, -ray.direction, material.kind),
-        };
+        let (outside, normal) = self.viewed(ray, &surface, material);
         let point = self.guide_point(&surface, normal, material);
         let point = point.as_ref();
         if let Some(point) = point {

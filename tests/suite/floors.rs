@@ -6,7 +6,7 @@ use std::path::Path;
 
 /// Which floor each top-level module of src/ is on; the command line is on the last.
 const FLOORS: [&[&str]; 5] = [
-    &["math", "random", "sampling", "stats", "layout"],
+    &["math", "random", "sampling", "stats", "layout", "untrusted"],
     &["scene", "bsdf", "film", "accel", "guiding"],
     &["transport"],
     &["gpu", "engine"],

@@ -6,6 +6,7 @@ use qtracer::gpu::device::Gpu;
 use qtracer::gpu::stage::Schedule;
 use qtracer::guiding::GuideMode;
 use qtracer::scene::MeshData;
+use qtracer::scene::compiled::{CompiledScene, ShapeIndex};
 use qtracer::transport::estimators::Estimators;
 use qtracer::transport::roulette::Roulette;
 use qtracer::{EngineChoice, Image, RenderOptions, RenderStats, Renderer, Sampler, Scene};
@@ -209,4 +210,12 @@ pub fn differing_pixels(a: &Film, b: &Film) -> usize {
     let same =
         |(a, b): &(&_, &_)| bytemuck::bytes_of(*a) == bytemuck::bytes_of::<qtracer::film::PixelSum>(*b);
     a.pixels().iter().zip(b.pixels()).filter(|pair| !same(pair)).count()
+}
+
+/// Index among the quads of a shape number, None if it is no quad.
+pub fn quad_index(scene: &CompiledScene, shape: u32) -> Option<usize> {
+    match scene.shape_index(shape) {
+        ShapeIndex::Quad(i) => Some(i),
+        _ => None,
+    }
 }

@@ -2,7 +2,6 @@
 //! are errors, never a panic, and nothing is allocated before the header's size is checked.
 
 use std::io::Cursor;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
 use exr::meta::MetaData;
@@ -13,10 +12,12 @@ use image::codecs::hdr::HdrDecoder;
 use super::{EnvironmentMap, check_size};
 use crate::scene::SceneError;
 use crate::scene::error::quoted;
-use crate::scene::load::{io_problem, plausible_image, within_folder};
+use crate::scene::files::{FileKind, plausible_image, within_folder};
+use crate::untrusted::unless_it_panics;
 
-/// Larger files are refused unread: 2²³ texels of 16 bytes, eight such layers.
-const LARGEST_FILE: u64 = 1 << 30;
+/// 2²³ texels of 16 bytes, eight such layers.
+const MAPS: FileKind =
+    FileKind { most_bytes: 1 << 30, wanted: "a .hdr or .exr file", smaller: "scale the map down" };
 const EXR_MAGIC: [u8; 4] = [0x76, 0x2f, 0x31, 0x01];
 const RADIANCE_MAGIC: &[u8] = b"#?";
 
@@ -50,21 +51,12 @@ pub(in crate::scene) fn of_scene(name: &str, folder: Option<&Path>) -> Result<En
 }
 
 fn read(path: &Path) -> Result<EnvironmentMap, String> {
-    let kind = std::fs::metadata(path).map_err(|error| io_problem(&error))?;
-    if !kind.is_file() {
-        return Err("is not a regular file; name a .hdr or .exr file".to_owned());
-    }
-    if kind.len() > LARGEST_FILE {
-        return Err(format!("is larger than {} GiB; scale the map down", LARGEST_FILE >> 30));
-    }
-    decode(&std::fs::read(path).map_err(|error| io_problem(&error))?)
+    decode(&MAPS.bytes(path, u64::MAX)?)
 }
 
 /// A map out of the bytes of a file.
 pub(super) fn decode(bytes: &[u8]) -> Result<EnvironmentMap, String> {
-    // Decoders of others may panic on what their authors have not thought of.
-    catch_unwind(AssertUnwindSafe(|| decode_kind(bytes)))
-        .unwrap_or_else(|_| Err("is damaged; write it anew".to_owned()))
+    unless_it_panics("is damaged; write it anew".to_owned(), || decode_kind(bytes))
 }
 
 fn decode_kind(bytes: &[u8]) -> Result<EnvironmentMap, String> {

@@ -1,9 +1,7 @@
 //! How much of direct light goes to the environment.
 
-use super::super::compiled::{CompiledScene, ShapeIndex};
-use super::super::triangle::double_area;
+use super::super::compiled::CompiledScene;
 use glam::Vec3;
-use std::f64::consts::PI;
 
 /// What arrives is not known before it is traced: walls may keep the sky out, or lamps may be in another room. So neither
 /// gets less than this.
@@ -11,27 +9,15 @@ const LEAST_SHARE: f64 = 0.25;
 
 /// The chance that direct light asks the environment map, not a lamp: by the power that it sends through the sphere about
 /// the scene against that of the lamps, 0.25 to 0.75; 1 without lamps, 0 without a map.
-pub fn environment_share(scene: &CompiledScene) -> f32 {
+///
+/// `lamps` is the power of all lamps, of all channels together, over π, as [`Sky::irradiance`](super::Sky) times an area.
+pub fn environment_share(scene: &CompiledScene, lamps: f64) -> f32 {
     let Some(sky) = &scene.sky else { return 0.0 };
     if scene.lights.is_empty() {
         return 1.0;
     }
-    let lamps: f64 = scene.lights.iter().map(|light| lamp_power(scene, light.shape, light.material)).sum();
     let sky = sky.irradiance * radius(scene).powi(2);
     (sky / (sky + lamps)).clamp(LEAST_SHARE, 1.0 - LEAST_SHARE) as f32
-}
-
-/// Of all channels together, over π, as [`Sky::irradiance`](super::Sky) times an area.
-fn lamp_power(scene: &CompiledScene, shape: u32, material: u32) -> f64 {
-    let area = match scene.shape_index(shape) {
-        ShapeIndex::Sphere(i) => 4.0 * PI * f64::from(scene.spheres[i].radius).powi(2),
-        ShapeIndex::Quad(i) => scene.quads[i].area.into(),
-        ShapeIndex::Triangle(i) => {
-            let triangle = &scene.triangles[i];
-            0.5 * f64::from(double_area(triangle.a, triangle.b, triangle.c).length())
-        }
-    };
-    scene.mean_emission(material) * area
 }
 
 /// Half the diagonal of the box about all shapes.

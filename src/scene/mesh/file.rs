@@ -1,16 +1,16 @@
 //! Meshes from files: where a scene may take them from, and which reader reads them.
 
-use std::fs::File;
 use std::io::{BufReader, Read};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::{MeshData, obj, ply};
 use crate::scene::SceneError;
 use crate::scene::error::quoted;
-use crate::scene::load::{io_problem, within_folder};
+use crate::scene::files::FileKind;
 
-/// Larger files are refused unread.
-pub(in crate::scene) const LARGEST_FILE: u64 = 2 << 30;
+/// Of models too.
+pub(in crate::scene) const MESHES: FileKind =
+    FileKind { most_bytes: 2 << 30, wanted: "a .glb, .gltf, .ply or .obj file", smaller: "reduce the mesh" };
 
 impl MeshData {
     /// Reads a `.ply` (text or binary, either byte order) or `.obj` file. Faces of more than three corners become fans.
@@ -30,46 +30,14 @@ impl MeshData {
     pub fn from_bytes(format: MeshFormat, bytes: &[u8]) -> Result<Self, String> {
         parse(format, bytes, bytes.len() as u64)
     }
-
-    /// The same, with what is wrong and the remedy alone.
-    pub(in crate::scene) fn load_plain(path: &Path) -> Result<Self, String> {
-        read(path)
-    }
 }
 
-/// All of a file. `Err` says what is wrong and the remedy.
-pub(in crate::scene) fn bytes(path: &Path) -> Result<Vec<u8>, String> {
-    let length = length_of(path)?;
-    let mut bytes = Vec::with_capacity(length as usize);
-    let file = File::open(path).map_err(|error| io_problem(&error))?;
-    file.take(length).read_to_end(&mut bytes).map_err(|error| io_problem(&error))?;
-    Ok(bytes)
-}
-
-/// The file that a scene names, which must lie within the scene's folder.
-pub(in crate::scene) fn of_scene(name: &str, folder: Option<&Path>) -> Result<PathBuf, String> {
-    let file = format!("file {}", quoted(name));
-    within_folder(folder, name).map_err(|problem| format!("{file} {problem}"))
-}
-
-/// How many bytes a file has that may be read.
-pub(in crate::scene) fn length_of(path: &Path) -> Result<u64, String> {
-    let kind = std::fs::metadata(path).map_err(|error| io_problem(&error))?;
-    if !kind.is_file() {
-        return Err("is not a regular file; name a .glb, .gltf, .ply or .obj file".to_owned());
-    }
-    if kind.len() > LARGEST_FILE {
-        return Err(format!("is larger than {} GiB; reduce the mesh", LARGEST_FILE >> 30));
-    }
-    Ok(kind.len())
-}
-
-fn read(path: &Path) -> Result<MeshData, String> {
-    let length = length_of(path)?;
-    let open = || File::open(path).map_err(|error| io_problem(&error));
+/// What [`MeshData::load`] reads. `Err` says what is wrong and the remedy.
+pub(in crate::scene) fn read(path: &Path) -> Result<MeshData, String> {
+    let (file, length) = MESHES.open(path, u64::MAX)?;
     match path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase().as_str() {
-        "ply" => parse(MeshFormat::Ply, open()?, length),
-        "obj" => parse(MeshFormat::Obj, open()?, length),
+        "ply" => parse(MeshFormat::Ply, file, length),
+        "obj" => parse(MeshFormat::Obj, file, length),
         "" => Err("has no extension; mesh files end in .glb, .gltf, .ply or .obj".to_owned()),
         other => {
             Err(format!("has the extension {}; mesh files end in .glb, .gltf, .ply or .obj", quoted(other)))

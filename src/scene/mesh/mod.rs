@@ -67,24 +67,29 @@ pub struct Repairs {
 impl Mesh {
     /// Checks and repairs. `Err` says what is wrong and the remedy.
     pub(super) fn new(data: &MeshData) -> Result<Mesh, String> {
+        Mesh::with_area(data)?.ok_or_else(|| match data.triangles.len() {
+            1 => "has no area: its triangle is a point or a line; scale it up".to_owned(),
+            given => format!("has no area: its {given} triangles are points or lines; scale it up"),
+        })
+    }
+
+    /// The same, but `None` if there are triangles and none of them has an area.
+    pub(super) fn with_area(data: &MeshData) -> Result<Option<Mesh>, String> {
         let positions = positions(&data.positions)?;
         let normals = normals(&data.normals, positions.len())?;
-        if data.triangles.len() > MOST_TRIANGLES {
-            return Err(format!("has {} triangles; stay within {MOST_TRIANGLES}", data.triangles.len()));
+        match data.triangles.len() {
+            0 => return Err("has no triangles; give it faces of three corners or more".to_owned()),
+            given if given > MOST_TRIANGLES => {
+                return Err(format!("has {given} triangles; stay within {MOST_TRIANGLES}"));
+            }
+            _ => {}
         }
         let mut repairs = Repairs::default();
         let uvs = uvs(&data.uvs, positions.len(), &mut repairs)?;
         let mut mesh = Mesh { positions, normals, uvs, triangles: Vec::new(), repairs };
         mesh.take_in(&data.triangles)?;
         mesh.turn_normals();
-        if mesh.triangles.is_empty() {
-            return Err(match data.triangles.len() {
-                0 => "has no triangles; give it faces of three corners or more".to_owned(),
-                1 => "has no area: its triangle is a point or a line; scale it up".to_owned(),
-                given => format!("has no area: its {given} triangles are points or lines; scale it up"),
-            });
-        }
-        Ok(mesh)
+        Ok((!mesh.is_empty()).then_some(mesh))
     }
 
     /// How many triangles it has.

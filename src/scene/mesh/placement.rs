@@ -2,7 +2,7 @@
 
 use glam::{DAffine3, DMat3, DVec3};
 
-use super::{MeshData, has_area};
+use super::MeshData;
 use crate::scene::boxes::sin_cos_deg;
 
 /// How a mesh is brought into the scene, in this order.
@@ -53,25 +53,12 @@ impl MeshData {
         }
     }
 
-    /// Whether any triangle has an area that f32 can tell from zero; false if corners are missing.
-    pub(in crate::scene) fn has_area(&self) -> bool {
-        let corner = |&number: &u32| self.positions.get(number as usize).map(|p| p.as_vec3());
-        let solid = |[a, b, c]: &[u32; 3]| {
-            let corners = [corner(a), corner(b), corner(c)];
-            matches!(corners, [Some(a), Some(b), Some(c)] if has_area([a, b, c]))
-        };
-        self.triangles.iter().any(solid)
-    }
-
     /// The mesh, placed so.
     #[must_use]
-    pub fn placed(mut self, placement: &Placement) -> MeshData {
-        let (sin, cos) = sin_cos_deg(placement.rotate_y_deg);
-        let turned = |v: DVec3| DVec3::new(cos * v.x + sin * v.z, v.y, cos * v.z - sin * v.x);
-        if *placement != Placement::default() {
-            self.positions.iter_mut().for_each(|p| *p = turned(*p * placement.scale) + placement.translate);
-            self.normals.iter_mut().for_each(|n| *n = turned(*n));
+    pub fn placed(self, placement: &Placement) -> MeshData {
+        match *placement == Placement::default() {
+            true => self,
+            false => self.transformed(&placement.transform()),
         }
-        self
     }
 }

@@ -1,13 +1,14 @@
 //! Files that hold more than one mesh needs: materials, instances, cameras, lamps. glTF 2.0 (.gltf, .glb), and .ply and .obj as
 //! models of one mesh.
 //!
-//! A [`Model`] is what a file says, in the file's units; [`Model::place`] brings it into a scene, and [`whole`] makes a scene of
-//! it alone.
+//! A [`Model`] is what a file says, in the file's units; [`Model::place`] brings it into a scene ([`placed`]), and [`whole`] makes
+//! a scene of it alone.
 
 mod findings;
 mod gltf;
 mod lamps;
 mod names;
+mod placed;
 mod whole;
 
 use std::path::Path;
@@ -19,7 +20,8 @@ use rayon::prelude::*;
 use super::mesh::{Placement, file};
 use super::{Geometry, Material, Mesh, MeshData, Shape, Texture};
 use findings::Findings;
-pub(super) use names::Names;
+use names::Names;
+pub(super) use placed::PlacedModels;
 pub(super) use whole::{gltf_in_memory, load as load_whole};
 
 /// What a file holds.
@@ -108,7 +110,7 @@ pub(super) fn is_model(path: &Path) -> bool {
 }
 
 /// Whether a file of that name may have materials of its own.
-pub(super) fn has_materials(path: &Path) -> bool {
+fn has_materials(path: &Path) -> bool {
     matches!(extension(path).as_str(), "gltf" | "glb")
 }
 
@@ -116,8 +118,8 @@ impl Model {
     /// Reads a file by its extension. `Err` says what is wrong and the remedy.
     pub fn load(path: &Path) -> Result<Model, String> {
         match has_materials(path) {
-            true => gltf::read(&file::bytes(path)?, path.parent()),
-            false => Ok(Model::of_mesh(MeshData::load_plain(path)?)),
+            true => gltf::read(&file::MESHES.bytes(path, u64::MAX)?, path.parent()),
+            false => Ok(Model::of_mesh(file::read(path)?)),
         }
     }
 
@@ -146,17 +148,18 @@ impl Model {
             if !smooth {
                 data.normals.clear();
             }
-            if !data.triangles.is_empty() && !data.has_area() {
-                return Ok(None);
-            }
             let named = |problem| format!("{} {problem}", surface.name).trim_start().to_owned();
-            let mesh = Mesh::new(&data).map_err(named)?;
-            let geometry = Geometry::Mesh(Arc::new(mesh));
-            Ok(Some(Shape { name: instance.name.clone(), material: surface.material, geometry }))
+            let shape = |mesh| Shape {
+                name: instance.name.clone(),
+                material: surface.material,
+                geometry: Geometry::Mesh(Arc::new(mesh)),
+            };
+            Ok(Mesh::with_area(&data).map_err(named)?.map(shape))
         };
         let laid_out: Vec<_> = instances.par_iter().map(lay_out).collect::<Result<_, String>>()?;
         if !laid_out.is_empty() && laid_out.iter().all(Option::is_none) {
-            return Err("has no area: its triangles are points or lines; scale it up".to_owned());
+            return Err("has no area: its triangles are points or lines where they stand; scale it up, or move it towards the origin"
+                .to_owned());
         }
         let mut shapes = Vec::with_capacity(laid_out.len());
         for (shape, instance) in laid_out.into_iter().zip(instances) {

@@ -8,7 +8,7 @@ use super::lamps::RADIUS;
 use super::{LampKind, Model, ModelCamera, NOTHING_TO_SHOW, gltf};
 use crate::scene::error::{Fault, quoted, suggestion};
 use crate::scene::mesh::Placement;
-use crate::scene::{Camera, Defaults, Geometry, Scene, SceneError, SceneWarning, Shape};
+use crate::scene::{Camera, Defaults, Geometry, Scene, SceneError, Shape};
 
 /// Longest side of images whose size nothing says.
 const LONGEST_SIDE: f64 = 640.0;
@@ -158,22 +158,5 @@ fn add_lamps(model: &mut Model, shapes: &mut Vec<Shape>, middle: DVec3, diagonal
         material.name = format!("lamp {number}: {}", material.name);
         shapes.push(Shape { name: Some(lamp.name), material: model.materials.len(), geometry });
         model.materials.push(material);
-    }
-}
-
-/// What a scene that places a model among other things does not take from it.
-impl Model {
-    pub(in crate::scene) fn placed_warnings(&mut self, file: &str) -> Vec<SceneWarning> {
-        for camera in &self.cameras {
-            self.findings.note(
-                "not taken over; the scene has its own",
-                format_args!("camera {}", quoted(&camera.name)),
-            );
-        }
-        for lamp in &self.lamps {
-            self.findings
-                .note("a light without a surface, not taken over; add a shape that emits", &lamp.name);
-        }
-        self.findings.warnings(file)
     }
 }

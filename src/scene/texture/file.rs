@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 use std::io::Cursor;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
 use image::{ImageFormat, ImageReader};
@@ -10,10 +9,11 @@ use image::{ImageFormat, ImageReader};
 use super::{LONGEST_SIDE, MOST_TEXELS, Texture, check_sum};
 use crate::scene::SceneError;
 use crate::scene::error::quoted;
-use crate::scene::load::{io_problem, plausible_image, within_folder};
+use crate::scene::files::{FileKind, io_problem, plausible_image, within_folder};
+use crate::untrusted::unless_it_panics;
 
-/// Larger files are refused unread.
-const LARGEST_FILE: u64 = 256 << 20;
+pub(in crate::scene) const TEXTURES: FileKind =
+    FileKind { most_bytes: 256 << 20, wanted: "a .png or .jpg file", smaller: "reduce the image" };
 
 impl Texture {
     /// Reads a `.png`, `.jpg` or `.jpeg` file. Grey becomes RGB, 16 bits become 8.
@@ -64,30 +64,20 @@ impl<'a> TextureFiles<'a> {
 }
 
 fn read(path: &Path, name: String) -> Result<Texture, String> {
-    let kind = std::fs::metadata(path).map_err(|error| io_problem(&error))?;
-    if !kind.is_file() {
-        return Err("is not a regular file; name a .png or .jpg file".to_owned());
-    }
-    if kind.len() > LARGEST_FILE {
-        return Err(format!("is larger than {} MiB; reduce the image", LARGEST_FILE >> 20));
-    }
+    TEXTURES.length(path)?;
     match path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase().as_str() {
         "png" | "jpg" | "jpeg" => {}
         "" => return Err("has no extension; textures end in .png or .jpg".to_owned()),
         other => return Err(format!("has the extension {}; textures end in .png or .jpg", quoted(other))),
     }
-    decode(&std::fs::read(path).map_err(|error| io_problem(&error))?, name)
+    decode(&TEXTURES.bytes(path, u64::MAX)?, name)
 }
 
 fn decode(encoded: &[u8], name: String) -> Result<Texture, String> {
-    unless_it_panics(|| decode_small(encoded, name))
+    unless_it_panics(DAMAGED.to_owned(), || decode_small(encoded, name))
 }
 
-/// Decoders of others may panic on what their authors have not thought of.
-fn unless_it_panics<T>(decode: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
-    catch_unwind(AssertUnwindSafe(decode))
-        .unwrap_or_else(|_| Err("is damaged; write it anew as PNG or JPEG".to_owned()))
-}
+const DAMAGED: &str = "is damaged; write it anew as PNG or JPEG";
 
 /// Texels that the header of an image promises; 0 where it has none, or more than an image may have.
 pub(in crate::scene) fn texels_promised(encoded: &[u8]) -> u64 {
@@ -97,7 +87,7 @@ pub(in crate::scene) fn texels_promised(encoded: &[u8]) -> u64 {
             |source: &ImageReader<_>| matches!(source.format(), Some(ImageFormat::Png | ImageFormat::Jpeg));
         Ok(source.filter(is_known).and_then(|source| source.into_dimensions().ok()))
     };
-    match unless_it_panics(size) {
+    match unless_it_panics((), size) {
         Ok(Some((width, height))) if check_size(width, height).is_ok() => {
             u64::from(width) * u64::from(height)
         }
@@ -154,13 +144,6 @@ fn damaged(error: &image::ImageError) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn decoders_that_panic_are_errors() {
-        let panics = || -> Result<(), String> { panic!("what the decoder's authors have not thought of") };
-        assert!(unless_it_panics(panics).unwrap_err().starts_with("is damaged"));
-        assert_eq!(unless_it_panics(|| Ok(7)), Ok(7));
-    }
 
     #[test]
     fn headers_promise_texels_and_damage_promises_none() {

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use super::texels::WRAP_U_SHIFT;
 
-pub(super) use file::{TextureFiles, check_size, texels_promised};
+pub(super) use file::{TEXTURES, TextureFiles, check_size, texels_promised};
 
 /// Texels along a side at most.
 pub(super) const LONGEST_SIDE: u32 = 16_384;
@@ -87,12 +87,13 @@ impl Default for MaterialTextures {
 }
 
 impl MaterialTextures {
-    /// Those that there are, by the keys of scene files.
+    /// Adds to the number of each texture, where those of a file come behind others.
     pub(super) fn move_by(&mut self, first: usize) {
         let slots = [&mut self.color, &mut self.metallic_roughness, &mut self.emission, &mut self.normal];
         slots.into_iter().flatten().for_each(|slot| slot.texture += first);
     }
 
+    /// Those that there are, by the keys of scene files.
     pub(super) fn each(&self) -> impl Iterator<Item = (&'static str, TextureRef)> {
         [
             ("color_texture", self.color),

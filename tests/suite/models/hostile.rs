@@ -443,3 +443,25 @@ proptest! {
         survives_changes(changes);
     }
 }
+
+/// That nothing has an area is said only where nothing else is wrong.
+#[test]
+fn damage_is_named_before_a_missing_area() {
+    let ply = |face: &str| {
+        let header = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n\
+                      element face 1\nproperty list uchar int vertex_indices\nend_header\n";
+        format!("{header}0 0 0\n1 0 0\n0 1 0\n{face}\n")
+    };
+    for (name, text, problem) in [
+        ("nan.obj", "v 0 0 0\nv 1 0 0\nv nan 1 0\nf 1 2 3\n".to_owned(), "not a number"),
+        ("far.obj", "v 0 0 0\nv 1 0 0\nv 2e20 1 0\nf 1 2 3\n".to_owned(), "beyond ±1e9"),
+        ("corner.ply", ply("3 0 1 7"), "with corner 7 of 3"),
+        ("line.ply", ply("3 0 1 1"), "has no area"),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        let error = Scene::load(path).unwrap_err().to_string();
+        assert!(error.contains(problem), "{name}: {error}");
+    }
+}

@@ -2,7 +2,7 @@
 
 use super::twins::{SIDES, Side, Twins, World};
 use super::{ALPHA, WRONG, draw};
-use crate::support::open_gpu;
+use crate::support::{open_gpu, quad_index};
 use proptest::prelude::*;
 use qtracer::sampling::{AliasTable, alias_row};
 use qtracer::scene::compiled::{CompiledScene, Light};
@@ -33,7 +33,7 @@ fn lamps(powers: &[f64]) -> CompiledScene {
 /// Area × radiance, of both sides of a sphere and one of a quad.
 fn power(scene: &CompiledScene, light: &Light) -> f64 {
     let emission = scene.materials[light.material as usize].emission.as_dvec3().element_sum();
-    let area = match scene.quad_index(light.shape) {
+    let area = match quad_index(scene, light.shape) {
         None => 4.0 * std::f64::consts::PI * f64::from(scene.spheres[light.shape as usize].radius).powi(2),
         Some(i) => scene.quads[i].area.into(),
     };

@@ -3,7 +3,7 @@
 use super::{ask, empty, key, tangent};
 use crate::oracles::geometry::{ROUNDING, unit};
 use crate::probe::{Numbers, Probe, floats, row};
-use crate::support::{computes_to_the_letter, open_gpu};
+use crate::support::{computes_to_the_letter, open_gpu, quad_index};
 use glam::DVec3;
 use qtracer::gpu::device::Gpu;
 use qtracer::gpu::key::{KernelKey, SmallScene};
@@ -61,7 +61,7 @@ fn crowd(numbers: &mut Numbers) -> CompiledScene {
 /// A point of a shape, or of the box around it.
 fn place(numbers: &mut Numbers, scene: &CompiledScene) -> DVec3 {
     let i = numbers.below(scene.spheres.len() + scene.quads.len());
-    match scene.quad_index(i as u32) {
+    match quad_index(scene, i as u32) {
         None => {
             let Sphere { center, radius, .. } = scene.spheres[i];
             let around = [numbers.direction(), numbers.in_box(1.0).signum(), DVec3::ZERO][numbers.below(3)];
@@ -82,7 +82,7 @@ fn grazing(numbers: &mut Numbers, scene: &CompiledScene) -> (DVec3, DVec3) {
     let mut small = || numbers.sign() * numbers.of_any_size(1e-8, 1e-3);
     let (by, along) = (small(), DVec3::new(small(), small(), small()) * 1e3);
     let i = numbers.below(scene.spheres.len() + scene.quads.len());
-    match scene.quad_index(i as u32) {
+    match quad_index(scene, i as u32) {
         None => {
             let Sphere { center, radius, .. } = scene.spheres[i];
             let direction = along.normalize();
@@ -159,7 +159,7 @@ fn alike(scene: &CompiledScene, [a, b]: &[Row; 2], walk: &Row, all: &Row) -> boo
     }
     let ray = Ray { origin: floats(*a).0, direction: floats(*b).0 };
     let normal = surface_at(scene, ray, Hit { t, shape: all[1] }).normal;
-    let size = match scene.quad_index(all[1]) {
+    let size = match quad_index(scene, all[1]) {
         None => {
             let sphere = &scene.spheres[all[1] as usize];
             (ray.origin - sphere.center).length() + sphere.radius

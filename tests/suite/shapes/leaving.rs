@@ -6,6 +6,7 @@ use super::tangent;
 use super::twins::{Gone, Leaving, Twin, aimed, both_twins};
 use crate::oracles::geometry::{Parallelogram, ROUNDING, chord, height_over_sphere, unit};
 use crate::probe::{Numbers, floats};
+use crate::support::quad_index;
 use glam::Vec3;
 use qtracer::scene::compiled::{CompiledScene, Sphere};
 use qtracer::scene::shapes::T_MISS;
@@ -58,7 +59,7 @@ impl Left {
             .collect();
         assert!(leaving.len() > count * 9 / 10, "only {} of {count} rays arrived", leaving.len());
         for (question, gone) in leaving.iter().zip(twin.leave(scene, &leaving)) {
-            match scene.quad_index(question[0][3]) {
+            match quad_index(scene, question[0][3]) {
                 None => self.judge_sphere(&scene.spheres[question[0][3] as usize], question, gone),
                 Some(i) => self.judge_quad(&Parallelogram::new(&scene.quads[i]), question, gone),
             }
@@ -129,7 +130,7 @@ impl Left {
 
 /// A ray that meets a shape, from anywhere.
 fn arrival(numbers: &mut Numbers, scene: &CompiledScene, shape: usize) -> (Vec3, Vec3) {
-    let (origin, target) = match scene.quad_index(shape as u32) {
+    let (origin, target) = match quad_index(scene, shape as u32) {
         None => {
             let Sphere { center, radius, .. } = scene.spheres[shape];
             let (center, radius) = (center.as_dvec3(), f64::from(radius));

@@ -2,7 +2,7 @@
 
 use super::{ask, key};
 use crate::probe::{Probe, floats, row};
-use crate::support::open_gpu;
+use crate::support::{open_gpu, quad_index};
 use qtracer::accel::ShapeLanes;
 use qtracer::gpu::device::Gpu;
 use qtracer::scene::bvh::Bvh;
@@ -80,7 +80,7 @@ pub fn with_hierarchy(scene: &CompiledScene) -> CompiledScene {
 
 /// How far along the ray this shape lies, on the CPU.
 pub fn cpu_distance(scene: &CompiledScene, ray: &Ray, shape: u32) -> f32 {
-    match scene.quad_index(shape) {
+    match quad_index(scene, shape) {
         None => intersect_sphere(ray, &scene.spheres[shape as usize]),
         Some(i) => intersect_quad(ray, &scene.quads[i]),
     }

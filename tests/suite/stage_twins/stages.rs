@@ -2,6 +2,7 @@
 
 use super::answers::{Answer, Nudges, ROUNDING, Report};
 use crate::recorded_levels::{Flight, Queues};
+use crate::support::quad_index;
 use glam::Vec3;
 use qtracer::film::BlockSum;
 use qtracer::gpu::key::KernelKey;
@@ -160,7 +161,7 @@ impl Stagework<'_> {
         };
         answer.word(hit.shape);
         let normal = surface_at(scene, line(ray), hit).normal;
-        let size = match scene.quad_index(hit.shape) {
+        let size = match quad_index(scene, hit.shape) {
             None => {
                 let sphere = &scene.spheres[hit.shape as usize];
                 (ray.origin - sphere.center).length() + sphere.radius

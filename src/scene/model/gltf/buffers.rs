@@ -1,8 +1,6 @@
 //! The bytes of buffers: the binary chunk, `data:` URIs, and files in the folder of the .gltf file or below.
 
 use std::borrow::Cow;
-use std::fs::File;
-use std::io::Read;
 use std::path::Path;
 
 use ::gltf::json::Root;
@@ -12,8 +10,8 @@ use base64::engine::general_purpose::STANDARD;
 use percent_encoding::percent_decode_str;
 
 use crate::scene::error::quoted;
-use crate::scene::load::{io_problem, within_folder};
-use crate::scene::mesh::file::{LARGEST_FILE, length_of};
+use crate::scene::files::within_folder;
+use crate::scene::mesh::file::MESHES;
 
 /// The buffers of a file, in their order.
 pub(super) type Buffers<'a> = Vec<Cow<'a, [u8]>>;
@@ -25,10 +23,10 @@ pub(super) fn read<'a>(
     folder: Option<&Path>,
 ) -> Result<Buffers<'a>, String> {
     let total: u128 = root.buffers.iter().map(|buffer| u128::from(buffer.byte_length.0)).sum();
-    if total > u128::from(LARGEST_FILE) {
+    if total > u128::from(MESHES.most_bytes) {
         return Err(format!(
             "promises buffers of {total} bytes together; reduce the model to {} GiB or less",
-            LARGEST_FILE >> 30
+            MESHES.most_bytes >> 30
         ));
     }
     let numbered = root.buffers.iter().enumerate();
@@ -77,15 +75,7 @@ pub(super) fn from_uri(uri: &str, length: u64, folder: Option<&Path>) -> Result<
         .decode_utf8()
         .map_err(|_| format!("has the uri {name}, which is no UTF-8"))?;
     let path = within_folder(folder, &path).map_err(|problem| format!("file {name} {problem}"))?;
-    from_file(&path, length).map_err(|problem| format!("file {name} {problem}"))
-}
-
-fn from_file(path: &Path, length: u64) -> Result<Vec<u8>, String> {
-    let length = length_of(path)?.min(length);
-    let mut bytes = Vec::with_capacity(length as usize);
-    let file = File::open(path).map_err(|error| io_problem(&error))?;
-    file.take(length).read_to_end(&mut bytes).map_err(|error| io_problem(&error))?;
-    Ok(bytes)
+    MESHES.bytes(&path, length).map_err(|problem| format!("file {name} {problem}"))
 }
 
 /// `application/octet-stream;base64,AAAA`, or plain text with percent signs.

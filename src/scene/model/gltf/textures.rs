@@ -11,11 +11,8 @@ use ::gltf::json::{Index, Root};
 use super::accessor::view_bytes;
 use super::buffers::{Buffers, from_uri};
 use crate::scene::model::findings::Findings;
-use crate::scene::texture::{check_total, texels_promised};
+use crate::scene::texture::{TEXTURES, check_total, texels_promised};
 use crate::scene::{Texture, TextureRef, Wrap};
-
-/// Bytes of an image file that are read.
-const LONGEST_FILE: u64 = 256 << 20;
 
 /// The images of a file, each decoded once, when a material asks for it.
 pub(super) struct Images<'a> {
@@ -89,7 +86,7 @@ impl<'a> Images<'a> {
         let given = self.root.images.get(image).ok_or("is not there")?;
         match (given.buffer_view, &given.uri) {
             (Some(view), _) => Ok(Cow::Borrowed(view_bytes(self.root, self.buffers, view)?)),
-            (None, Some(uri)) => Ok(Cow::Owned(from_uri(uri, LONGEST_FILE, self.folder)?)),
+            (None, Some(uri)) => Ok(Cow::Owned(from_uri(uri, TEXTURES.most_bytes, self.folder)?)),
             (None, None) => Err("has neither a bufferView nor a uri".to_owned()),
         }
     }
