@@ -6,7 +6,7 @@ use crate::layout::GpuStruct;
 use crate::scene::bvh::NODE_ROWS;
 use crate::scene::compiled::{KINDS, Light, Material, Quad, Sphere, Triangle};
 use crate::scene::light_tree::LightCluster;
-use crate::scene::rows::{ALIGNED_ROWS, QUAD_HOT_ROWS, SPHERE_HOT_ROWS};
+use crate::scene::rows::{ALIGNED_ROWS, MATERIAL_HOT_ROWS, QUAD_HOT_ROWS, SPHERE_HOT_ROWS};
 use crate::scene::surfaces::{MaterialMaps, TextureImage, TriangleNormals, TriangleUvs};
 use std::fmt::Write;
 
@@ -250,7 +250,8 @@ impl Stage {
             ("QUAD_HOT_ROWS", QUAD_HOT_ROWS),
             ("QUAD_REST_ROWS", Quad::ROWS - QUAD_HOT_ROWS),
             ("TRIANGLE_ROWS", Triangle::ROWS),
-            ("MATERIAL_ROWS", Material::ROWS),
+            ("MATERIAL_HOT_ROWS", MATERIAL_HOT_ROWS),
+            ("MATERIAL_REST_ROWS", Material::ROWS - MATERIAL_HOT_ROWS),
             ("LIGHT_ROWS", Light::ROWS),
             ("TRIANGLE_NORMALS_ROWS", TriangleNormals::ROWS),
             ("TRIANGLE_UVS_ROWS", TriangleUvs::ROWS),

@@ -85,7 +85,8 @@ gpu_struct! {
         /// Chance that direct light asks the environment map, not a lamp.
         environment_share: f32,
         first_cluster_row: u32,
-        _pad0: u32,
+        /// The rest of the materials, of what has microfacets.
+        first_material_rest_row: u32,
     }
     /// What every ray reads comes first; rows.rs says where that ends.
     pub struct Sphere {
@@ -132,7 +133,7 @@ gpu_struct! {
         emission: Vec3,
         /// Mirror: level. Glossy: exponent. Dielectrics: index of refraction.
         parameter: f32,
-        /// Of what has microfacets, 0 to 1; kernels read this row of their scenes only.
+        /// Of what has microfacets, 0 to 1; scenes without have this row nowhere.
         roughness: f32,
         /// Metallic-roughness: 0, a coat over a diffuse base, to 1, metal.
         metallic: f32,
@@ -349,6 +350,11 @@ impl CompiledScene {
         let mut kinds = [false; KINDS];
         used.for_each(|kind| kinds[kind as usize] = true);
         kinds
+    }
+
+    /// Whether there is a material of microfacets.
+    pub fn has_microfacets(&self) -> bool {
+        self.materials.iter().any(|material| material.kind >= KIND_METAL)
     }
 
     /// The uniforms of a frame seen through `camera` at the given size; the batch is left empty.
