@@ -20,7 +20,7 @@ const EVEN_SHARE: f32 = 1.0 / 128.0;
 /// Added to each importance: what sends nothing is chosen too where nothing else is there.
 const LEAST_IMPORTANCE: f32 = 1e-36;
 /// Squares of distances that stand for zero: no quotient by it overflows.
-const SMALLEST_SQUARE: f32 = 1e-30;
+const SMALLEST_DISTANCE_SQUARE: f32 = 1e-30;
 /// The largest number below 1.
 const BELOW_ONE: f32 = 1.0 - f32::EPSILON / 2.0;
 /// Intervals narrower than this stand for none: no quotient by their width overflows.
@@ -68,7 +68,7 @@ fn mean_above_zero(mean: f32, reach: f32) -> f32 {
 pub fn importance(origin: Vec3, normal: Vec3, cluster: &LightCluster) -> Importance {
     let to_center = cluster.center - origin;
     let deviation = cluster.deviation;
-    let distance2 = (to_center.dot(to_center) + BLUR * deviation.dot(deviation)).max(SMALLEST_SQUARE);
+    let distance2 = (to_center.dot(to_center) + BLUR * deviation.dot(deviation)).max(SMALLEST_DISTANCE_SQUARE);
     let inverse = 1.0 / distance2.sqrt();
     let reach = deviation * (REACH * inverse);
     let spread = (2.0 - 2.0 * cluster.normal.dot(cluster.normal)).max(0.0).sqrt();
