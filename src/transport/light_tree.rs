@@ -68,7 +68,8 @@ fn mean_above_zero(mean: f32, reach: f32) -> f32 {
 pub fn importance(origin: Vec3, normal: Vec3, cluster: &LightCluster) -> Importance {
     let to_center = cluster.center - origin;
     let deviation = cluster.deviation;
-    let distance2 = (to_center.dot(to_center) + BLUR * deviation.dot(deviation)).max(SMALLEST_DISTANCE_SQUARE);
+    let distance2 =
+        (to_center.dot(to_center) + BLUR * deviation.dot(deviation)).max(SMALLEST_DISTANCE_SQUARE);
     let inverse = 1.0 / distance2.sqrt();
     let reach = deviation * (REACH * inverse);
     let spread = (2.0 - 2.0 * cluster.normal.dot(cluster.normal)).max(0.0).sqrt();
