@@ -1,17 +1,18 @@
-//! A tree over the lamps of a scene that has many: what a lamp, or several together, may send to a point, told by a ball around
-//! them, a cone around their normals and their strength (Conty Estévez & Kulla 2018, "Importance Sampling of Many Lights with
-//! Adaptive Tree Splitting"). Walked by transport/light_tree.rs; the walk needs neither stack nor bound on the depth.
+//! A tree over the lamps of a scene that has many: what a lamp, or several together, may be expected to send to a point, told by
+//! where they are, how far apart, which way they face and how strong they are. After Conty Estévez & Kulla 2018, "Importance
+//! Sampling of Many Lights with Adaptive Tree Splitting". Walked by transport/light_tree.rs; the walk needs neither stack nor
+//! bound on the depth.
 //!
-//! Deviation: while the tree is built, how far normals spread is estimated by the length of their mean, so that a million lamps
-//! need no cones merged but those of the finished nodes. And nodes are wide: halves of halves of a node are told apart at once, by
-//! bounds far tighter than those of the halves, which leaves much less noise than the two-way choices of a binary tree.
+//! Deviations: what is kept of several lamps are moments, weighted by strength, and not bounds: where one of them outshines the
+//! rest it is the one that matters, and a mean is nearer to what they send than the most that they could. And nodes are wide:
+//! halves of halves of a node are told apart at once, which leaves much less noise than the two-way choices of a binary tree.
 
 use super::compiled::{CompiledScene, NONE, ShapeIndex};
 use super::triangle::double_area;
 use crate::gpu_struct;
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
-use std::f32::consts::PI;
+use std::f64::consts::PI;
 use std::time::Instant;
 
 /// Marks the number of a light where a node could stand.
@@ -31,25 +32,23 @@ const MANY: usize = 4096;
 /// … and its halves are built by threads of their own.
 const WORTH_A_THREAD: usize = 4096;
 /// Half the distance of 1 from the next number.
-const ROUNDING: f32 = f32::EPSILON / 2.0;
+const ROUNDING: f64 = f32::EPSILON as f64 / 2.0;
 
 gpu_struct! {
-    /// One lamp or more. Those of a node lie together; the first of all holds every lamp.
+    /// One lamp or more. Those of a node lie together; the first of all holds every lamp. Means are weighted by strength.
     pub struct LightCluster {
-        /// Of a ball around them.
+        /// Of all points that shine.
         center: Vec3,
-        radius: f32,
-        /// Of a cone that holds all normals of their bright sides.
-        axis: Vec3,
-        /// Radiance × area that faces a point at most, as a share of that of all.
-        strength: f32,
-        /// Of the angle between the axis and the side of the cone, up to π.
-        cos_cone: f32,
-        sin_cone: f32,
         /// The node below, as [`COUNT_SHIFT`] says, or the number of the one light with [`LIGHT`].
         inside: u32,
+        /// Mean of the normals where they shine: of length 1 where all are the same, 0 where they are all around.
+        normal: Vec3,
         /// The cluster whose node this one belongs to, NONE for the first of all.
         above: u32,
+        /// Standard deviation of the points along each axis.
+        deviation: Vec3,
+        /// Radiance × area, as a share of that of all.
+        strength: f32,
     }
 }
 
@@ -61,23 +60,20 @@ pub struct LightTree {
     pub seconds: f64,
 }
 
-/// Of a lamp or a cluster.
-#[derive(Clone, Copy, Debug)]
-struct Bounds {
-    min: Vec3,
-    max: Vec3,
+/// Of a lamp or of several.
+#[derive(Clone, Copy, Debug, Default)]
+struct Moments {
     center: Vec3,
-    radius: f32,
-    axis: Vec3,
-    /// Angle of the cone, 0 to π.
-    spread: f32,
+    normal: Vec3,
+    /// Square of the deviation.
+    variance: Vec3,
     strength: f32,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Lamp {
     light: u32,
-    bounds: Bounds,
+    moments: Moments,
 }
 
 impl LightTree {
@@ -97,112 +93,89 @@ impl LightTree {
     }
 }
 
-/// All lights with their bounds.
+/// All lights with their moments.
 fn lamps(scene: &CompiledScene) -> Vec<Lamp> {
-    let bounds: Vec<(Bounds, f64)> = scene
+    let moments: Vec<(Moments, f64)> = scene
         .lights
         .par_iter()
         .map(|light| {
-            let (bounds, area) = match scene.shape_index(light.shape) {
-                ShapeIndex::Sphere(i) => sphere_bounds(scene.spheres[i].center, scene.spheres[i].radius),
+            let (moments, area) = match scene.shape_index(light.shape) {
+                ShapeIndex::Sphere(i) => sphere_moments(scene.spheres[i].center, scene.spheres[i].radius),
                 ShapeIndex::Quad(i) => {
                     let quad = &scene.quads[i];
-                    let (a, b) = (quad.corner, quad.corner + quad.e1);
-                    flat_bounds(&[a, b, a + quad.e2, b + quad.e2], quad.e1, quad.e2)
+                    let center = quad.corner + 0.5 * (quad.e1 + quad.e2);
+                    let variance = (quad.e1 * quad.e1 + quad.e2 * quad.e2) / 12.0;
+                    flat_moments(center, variance, quad.e1, quad.e2)
                 }
                 ShapeIndex::Triangle(i) => {
                     let t = &scene.triangles[i];
-                    let (bounds, area) = flat_bounds(&[t.a, t.b, t.c], t.b - t.a, t.c - t.a);
-                    (bounds, 0.5 * area)
+                    let (e1, e2) = (t.b - t.a, t.c - t.a);
+                    let (middle, third) = ((e1 + e2) / 3.0, e1 * e1 + e2 * e2 - e1 * e2);
+                    let (moments, area) = flat_moments(t.a + middle, third / 18.0, e1, e2);
+                    (moments, 0.5 * area)
                 }
             };
-            (bounds, scene.mean_emission(light.material) * area)
+            (moments, radiance(scene, light.material) * area)
         })
         .collect();
-    let total: f64 = bounds.iter().map(|(_, strength)| strength).sum();
-    let lamp = |(light, (bounds, strength)): (u32, (Bounds, f64))| {
+    let total: f64 = moments.iter().map(|(_, strength)| strength).sum();
+    let lamp = |(light, (moments, strength)): (u32, (Moments, f64))| {
         let strength = (strength / total).max(LEAST_STRENGTH) as f32;
-        Lamp { light, bounds: Bounds { strength, ..bounds } }
+        Lamp { light, moments: Moments { strength, ..moments } }
     };
-    (0..).zip(bounds).map(lamp).collect()
+    (0..).zip(moments).map(lamp).collect()
 }
 
-/// What rounding may move points with such coordinates by, a few times over.
-fn margin(min: Vec3, max: Vec3) -> f32 {
-    8.0 * ROUNDING * min.abs().max(max.abs()).max_element()
+/// Of the channels together, as noise counts them: the root of the sum of their squares.
+fn radiance(scene: &CompiledScene, material: u32) -> f64 {
+    let emission = scene.materials[material as usize].emission * scene.surfaces.mean_emission(material);
+    emission.as_dvec3().length()
 }
 
-/// Bounds of a sphere, and its area as it is seen. One that shines inwards is seen from every direction as well.
-fn sphere_bounds(center: Vec3, radius: f32) -> (Bounds, f64) {
-    let (min, max) = (center - radius, center + radius);
-    let bounds = Bounds {
-        min,
-        max,
-        center,
-        radius: radius * (1.0 + 4.0 * ROUNDING),
-        axis: Vec3::Z,
-        spread: PI,
-        strength: 0.0,
-    };
-    (bounds, std::f64::consts::PI * f64::from(radius).powi(2))
+/// Moments of a sphere, and its area. One that shines inwards is seen from every direction as well.
+fn sphere_moments(center: Vec3, radius: f32) -> (Moments, f64) {
+    let variance = Vec3::splat(radius * radius / 3.0);
+    (Moments { center, variance, ..Default::default() }, 4.0 * PI * f64::from(radius).powi(2))
 }
 
-/// Bounds of what lies flat between these corners, and the area of the parallelogram. The kernels round the product of its
-/// sides, which turns the normal of a sliver: its cone is as wide as that may be.
-fn flat_bounds(corners: &[Vec3], e1: Vec3, e2: Vec3) -> (Bounds, f64) {
-    let min = corners.iter().fold(corners[0], |a, &b| a.min(b));
-    let max = corners.iter().fold(corners[0], |a, &b| a.max(b));
-    let center = min + 0.5 * (max - min);
-    let radius = corners.iter().map(|c| c.distance(center)).fold(0.0, f32::max) + margin(min, max);
+/// Moments of what is flat and has these sides, and the area of the parallelogram. The kernels round the product of its sides,
+/// which turns the normal of a sliver: where that may be far, it counts as all around.
+fn flat_moments(center: Vec3, variance: Vec3, e1: Vec3, e2: Vec3) -> (Moments, f64) {
     let rounded = double_area(Vec3::ZERO, e1, e2).as_dvec3();
-    let turn = 8.0 * f64::from(ROUNDING) * e1.as_dvec3().length() * e2.as_dvec3().length() / rounded.length();
-    let (axis, spread) = match turn < 0.5 {
-        true => (rounded.normalize().as_vec3(), 2.0 * turn as f32),
-        false => (Vec3::Z, PI),
-    };
-    (Bounds { min, max, center, radius, axis, spread, strength: 0.0 }, rounded.length())
+    let turn = 8.0 * ROUNDING * e1.as_dvec3().length() * e2.as_dvec3().length() / rounded.length();
+    let normal = if turn < 0.5 { rounded.normalize().as_vec3() } else { Vec3::ZERO };
+    (Moments { center, normal, variance, strength: 0.0 }, rounded.length())
 }
 
-impl Bounds {
-    fn merged(&self, other: &Bounds) -> Bounds {
-        let (min, max) = (self.min.min(other.min), self.max.max(other.max));
-        let center = min + 0.5 * (max - min);
-        let reach = |b: &Bounds| b.center.distance(center) + b.radius;
-        let radius = (0.5 * (max - min).length()).min(reach(self).max(reach(other)));
-        let radius = radius * (1.0 + 4.0 * ROUNDING) + margin(min, max);
-        let (axis, spread) = merged_cones((self.axis, self.spread), (other.axis, other.spread));
-        Bounds { min, max, center, radius, axis, spread, strength: self.strength + other.strength }
+impl Moments {
+    /// Of both together.
+    fn merged(&self, other: &Moments) -> Moments {
+        let strength = self.strength + other.strength;
+        let share = other.strength / strength;
+        let apart = other.center - self.center;
+        let mean = |a: Vec3, b: Vec3| a + share * (b - a);
+        Moments {
+            center: mean(self.center, other.center),
+            normal: mean(self.normal, other.normal),
+            variance: mean(self.variance, other.variance) + share * (1.0 - share) * (apart * apart),
+            strength,
+        }
     }
 
     fn cluster(&self, inside: u32) -> LightCluster {
-        let Bounds { center, radius, axis, spread, strength, .. } = *self;
-        let (sin_cone, cos_cone) = if spread >= PI { (0.0, -1.0) } else { spread.sin_cos() };
-        LightCluster { center, radius, axis, strength, cos_cone, sin_cone, inside, above: NONE }
+        let Moments { center, normal, variance, strength } = *self;
+        LightCluster { center, inside, normal, above: NONE, deviation: variance.map(f32::sqrt), strength }
     }
-}
 
-/// A cone around two, each told by its axis and its angle.
-fn merged_cones(a: (Vec3, f32), b: (Vec3, f32)) -> (Vec3, f32) {
-    let ((a, wide), (b, narrow)) = if a.1 >= b.1 { (a, b) } else { (b, a) };
-    let (from, to) = (a.as_dvec3(), b.as_dvec3());
-    let across = from.cross(to);
-    let between = across.length().atan2(from.dot(to)) as f32;
-    if between + narrow <= wide {
-        return (a, wide);
+    /// After the surface area orientation heuristic: strength × size × solid angle lit, from π for one direction to 4π for all.
+    fn cost(&self) -> f32 {
+        self.strength * (4.0 - 3.0 * self.normal.length().min(1.0)) * self.variance.element_sum().sqrt()
     }
-    let spread = 0.5 * (wide + between + narrow);
-    if spread >= PI || across == DVec3::ZERO {
-        return (a, PI);
-    }
-    let turn = f64::from(spread - wide);
-    let beside = across.cross(from).normalize();
-    let axis = (from * turn.cos() + beside * turn.sin()).normalize();
-    (axis.as_vec3(), spread + 8.0 * ROUNDING)
 }
 
 /// Halves `lamps`, two or more, again and again, from node `first` on, each node in front of all below it. Node k is
 /// clusters 2k and 2k + 1.
-fn build(lamps: &mut [Lamp], clusters: &mut [LightCluster], first: u32) -> Bounds {
+fn build(lamps: &mut [Lamp], clusters: &mut [LightCluster], first: u32) -> Moments {
     let count = lamps.len();
     let middle = split(lamps);
     let (left, right) = lamps.split_at_mut(middle);
@@ -216,10 +189,10 @@ fn build(lamps: &mut [Lamp], clusters: &mut [LightCluster], first: u32) -> Bound
     a.merged(&b)
 }
 
-/// What is inside the cluster that holds these lamps, and their bounds.
-fn child(lamps: &mut [Lamp], clusters: &mut [LightCluster], node: u32) -> (Bounds, u32) {
+/// What is inside the cluster that holds these lamps, and their moments.
+fn child(lamps: &mut [Lamp], clusters: &mut [LightCluster], node: u32) -> (Moments, u32) {
     match lamps {
-        [lamp] => (lamp.bounds, LIGHT | lamp.light),
+        [lamp] => (lamp.moments, LIGHT | lamp.light),
         _ => (build(lamps, clusters, node), node),
     }
 }
@@ -250,7 +223,7 @@ fn opened(halves: &[LightCluster], node: u32) -> Vec<LightCluster> {
     let pair = |node: u32| &halves[2 * node as usize..][..2];
     let mut open = pair(node).to_vec();
     let size = |cluster: &LightCluster| match cluster.inside & LIGHT {
-        0 => cluster.strength * cluster.radius * cluster.radius,
+        0 => cluster.strength * cluster.deviation.length(),
         _ => -1.0,
     };
     while open.len() < MOST_CLUSTERS {
@@ -262,41 +235,17 @@ fn opened(halves: &[LightCluster], node: u32) -> Vec<LightCluster> {
     open
 }
 
-/// Centres in one interval of an axis.
-#[derive(Clone, Copy)]
+/// Lamps whose centres are in one interval of an axis.
+#[derive(Clone, Copy, Default)]
 struct Bin {
-    min: Vec3,
-    max: Vec3,
-    /// Sum of axes × strength, without those of lamps that shine all around.
-    normals: Vec3,
-    strength: f32,
+    moments: Moments,
     count: usize,
 }
 
-const EMPTY: Bin =
-    Bin { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY, normals: Vec3::ZERO, strength: 0.0, count: 0 };
-
 impl Bin {
     fn add(&mut self, other: &Bin) {
-        self.min = self.min.min(other.min);
-        self.max = self.max.max(other.max);
-        self.normals += other.normals;
-        self.strength += other.strength;
+        self.moments = if self.count == 0 { other.moments } else { self.moments.merged(&other.moments) };
         self.count += other.count;
-    }
-
-    /// Surface area orientation heuristic: strength × size × solid angle lit, from π for one direction to 4π for all.
-    fn cost(&self) -> f32 {
-        let lit = 4.0 - 3.0 * (self.normals.length() / self.strength).min(1.0);
-        self.strength * lit * (self.max - self.min).length_squared()
-    }
-}
-
-impl Lamp {
-    fn bin(&self) -> Bin {
-        let Bounds { min, max, axis, spread, strength, .. } = self.bounds;
-        let normals = if spread < PI { axis * strength } else { Vec3::ZERO };
-        Bin { min, max, normals, strength, count: 1 }
     }
 }
 
@@ -309,7 +258,7 @@ fn bin_of(x: f32, low: f32, scale: f32) -> usize {
 fn split(lamps: &mut [Lamp]) -> usize {
     let empty = (Vec3::INFINITY, Vec3::NEG_INFINITY);
     let (low, high) =
-        lamps.iter().fold(empty, |(low, high), l| (low.min(l.bounds.center), high.max(l.bounds.center)));
+        lamps.iter().fold(empty, |(low, high), l| (low.min(l.moments.center), high.max(l.moments.center)));
     let size = high - low;
     let axes = 0..3;
     let longest = if size.x >= size.y.max(size.z) { 0 } else { 2 - usize::from(size.y >= size.z) };
@@ -321,7 +270,7 @@ fn split(lamps: &mut [Lamp]) -> usize {
     });
     match best.min_by(|a, b| a.0.total_cmp(&b.0)) {
         Some((_, axis, bin, scale)) => {
-            partition(lamps, |l| bin_of(l.bounds.center[axis], low[axis], scale) < bin)
+            partition(lamps, |l| bin_of(l.moments.center[axis], low[axis], scale) < bin)
         }
         // All in one place.
         None => lamps.len() / 2,
@@ -330,20 +279,20 @@ fn split(lamps: &mut [Lamp]) -> usize {
 
 /// The cheapest boundary between intervals along an axis: its cost, and the number of the first interval behind it.
 fn best_boundary(lamps: &[Lamp], axis: usize, low: f32, scale: f32) -> Option<(f32, usize)> {
-    let mut bins = [EMPTY; BINS];
+    let mut bins = [Bin::default(); BINS];
     for lamp in lamps {
-        bins[bin_of(lamp.bounds.center[axis], low, scale)].add(&lamp.bin());
+        bins[bin_of(lamp.moments.center[axis], low, scale)].add(&Bin { moments: lamp.moments, count: 1 });
     }
-    let mut behind = [EMPTY; BINS + 1];
+    let mut behind = [Bin::default(); BINS + 1];
     for i in (0..BINS).rev() {
         behind[i] = behind[i + 1];
         behind[i].add(&bins[i]);
     }
-    let mut before = EMPTY;
+    let mut before = Bin::default();
     let boundary = |i: usize| {
         before.add(&bins[i - 1]);
         let both = before.count > 0 && behind[i].count > 0;
-        both.then(|| (before.cost() + behind[i].cost(), i))
+        both.then(|| (before.moments.cost() + behind[i].moments.cost(), i))
     };
     (1..BINS).filter_map(boundary).min_by(|a, b| a.0.total_cmp(&b.0))
 }

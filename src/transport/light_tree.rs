@@ -9,16 +9,18 @@ use crate::scene::compiled::{CompiledScene, NONE};
 use crate::scene::light_tree::{COUNT_SHIFT, LIGHT, LightCluster, MOST_CLUSTERS};
 use glam::{Vec2, Vec3};
 
-/// Cosines that bounds leave: above 1.5e-3, by which roots of rounded numbers move the cosine of an angle. What is told to face
-/// away surely does.
-const LEAST_FACING: f32 = 1.0 / 512.0;
+/// What is spread out with deviation 1 reaches so far about its mean: √8, as far as the corners of a triangle reach from its
+/// middle, further than those of a quad do.
+const REACH: f32 = 2.828_427_2;
+/// Share of the variance of points that is added to the square of their distance.
+const BLUR: f32 = 0.2;
 /// So often a node's clusters are chosen evenly, whatever they send: none is as good as never chosen, and there are numbers that
 /// choose each.
 const EVEN_SHARE: f32 = 1.0 / 128.0;
 /// Added to each importance: what sends nothing is chosen too where nothing else is there.
 const LEAST_IMPORTANCE: f32 = 1e-36;
-/// Squares of radii that stand for zero: no quotient by it overflows.
-const SMALLEST_SQUARE: f32 = 1e-30;
+/// Squares of distances that stand for zero: no quotient by it overflows.
+const SMALLEST_DISTANCE_SQUARE: f32 = 1e-30;
 /// The largest number below 1.
 const BELOW_ONE: f32 = 1.0 - f32::EPSILON / 2.0;
 /// Intervals narrower than this stand for none: no quotient by their width overflows.
@@ -37,7 +39,7 @@ pub struct TreeChoice {
     pub weighing: f32,
 }
 
-/// Bounds of what a cluster sends, up to a factor that all share.
+/// About what a cluster sends, up to a factor that all share.
 #[derive(Clone, Copy, Debug)]
 pub struct Importance {
     /// To the point.
@@ -46,50 +48,35 @@ pub struct Importance {
     pub facing: f32,
 }
 
-/// cos(max(0, a − b)).
+/// Mean of the positive part of what lies evenly between `mean` − `reach` and `mean` + `reach`.
 #[inline(always)]
-fn cos_beyond(cos_a: f32, sin_a: f32, cos_b: f32, sin_b: f32) -> f32 {
-    if cos_a >= cos_b { 1.0 } else { cos_a * cos_b + sin_a * sin_b }
+fn mean_above_zero(mean: f32, reach: f32) -> f32 {
+    let above = mean + reach;
+    if mean >= reach {
+        mean
+    } else if above <= 0.0 {
+        0.0
+    } else {
+        above * above / (4.0 * reach)
+    }
 }
 
-/// sin(max(0, a − b)).
-#[inline(always)]
-fn sin_beyond(cos_a: f32, sin_a: f32, cos_b: f32, sin_b: f32) -> f32 {
-    if cos_a >= cos_b { 0.0 } else { sin_a * cos_b - cos_a * sin_b }
-}
-
-#[inline(always)]
-fn sin_of(cosine: f32) -> f32 {
-    (1.0 - cosine * cosine).max(0.0).sqrt()
-}
-
-/// A bound on a cosine, 0 where it is surely below the horizon.
-#[inline(always)]
-fn at_least(cosine: f32) -> f32 {
-    if cosine < -LEAST_FACING { 0.0 } else { cosine.max(LEAST_FACING) }
-}
-
-/// What `cluster` may send to `origin`, and to a surface there with that normal, 0 for none: strength over squared distance, by
-/// the least angles that any direction from any point of the ball can have with the normals on both sides.
+/// What `cluster` may be expected to send to `origin`, and to a surface there with that normal, 0 for none: strength over squared
+/// distance, by the mean cosines on both sides. Normals that are `normal` on average lie about as far apart as that falls short
+/// of 1: all around, for 0, a quarter of their area faces any point.
 #[inline(always)]
 pub fn importance(origin: Vec3, normal: Vec3, cluster: &LightCluster) -> Importance {
     let to_center = cluster.center - origin;
-    let distance2 = to_center.dot(to_center);
-    let radius2 = cluster.radius * cluster.radius;
-    let anywhere = cluster.strength / distance2.max(radius2.max(SMALLEST_SQUARE));
-    if distance2 <= radius2 {
-        return Importance { anywhere, facing: anywhere };
-    }
+    let deviation = cluster.deviation;
+    let distance2 =
+        (to_center.dot(to_center) + BLUR * deviation.dot(deviation)).max(SMALLEST_DISTANCE_SQUARE);
     let inverse = 1.0 / distance2.sqrt();
-    let sin_ball = (cluster.radius * inverse).min(1.0);
-    let cos_ball = sin_of(sin_ball);
-    let cos_axis = (-cluster.axis.dot(to_center) * inverse).clamp(-1.0, 1.0);
-    let sin_axis = sin_of(cos_axis);
-    let cos_side = cos_beyond(cos_axis, sin_axis, cluster.cos_cone, cluster.sin_cone);
-    let sin_side = sin_beyond(cos_axis, sin_axis, cluster.cos_cone, cluster.sin_cone);
-    let anywhere = anywhere * at_least(cos_beyond(cos_side, sin_side, cos_ball, sin_ball)) + LEAST_IMPORTANCE;
-    let cos_normal = (normal.dot(to_center) * inverse).clamp(-1.0, 1.0);
-    let arriving = at_least(cos_beyond(cos_normal, sin_of(cos_normal), cos_ball, sin_ball));
+    let reach = deviation * (REACH * inverse);
+    let spread = (2.0 - 2.0 * cluster.normal.dot(cluster.normal)).max(0.0).sqrt();
+    let turned = (spread + cluster.normal.abs().dot(reach)).min(1.0);
+    let leaving = mean_above_zero(-cluster.normal.dot(to_center) * inverse, turned);
+    let anywhere = cluster.strength / distance2 * leaving + LEAST_IMPORTANCE;
+    let arriving = mean_above_zero(normal.dot(to_center) * inverse, normal.abs().dot(reach));
     Importance {
         anywhere,
         facing: if normal == Vec3::ZERO { anywhere } else { anywhere * arriving + LEAST_IMPORTANCE },

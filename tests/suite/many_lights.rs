@@ -63,22 +63,28 @@ fn noise(image: &Image, truth: &Image, samples: u32, counts: &[bool]) -> f64 {
 }
 
 /// relMSE at equal samples, by power and by the tree, of pixels in which no lamp is seen: of direct light, and of paths of all
-/// lengths, most of whose noise is in the directions that they take and not in their lights.
+/// lengths, part of whose noise is in the directions that they take and not in their lights. Against the means of the tree's own
+/// image, and against those of another: its own are too bright where its noise is large, which tells less of it.
 #[test]
 fn many_lights_have_a_fifth_of_the_noise_by_the_tree() {
     let scene = scene("many-lights");
     let options = small(96, 72, 71);
     let dim = dim_pixels(&scene, &options);
     assert!(dim.iter().filter(|dim| **dim).count() > dim.len() * 3 / 4);
-    for (levels, samples, gain) in [(2, 48, 5.0), (64, 32, 3.0)] {
-        let [by_power, by_tree] = [false, true]
-            .map(|tree| render(&scene, Engine::Cpu, &by(tree, levels, options.clone()), samples).image);
-        let [power, tree] = [&by_power, &by_tree].map(|image| noise(image, &by_tree, samples, &dim));
-        println!(
-            "{levels} levels: relMSE of one sample {power:.3} by power, {tree:.3} by the tree: {:.1}",
-            power / tree
-        );
-        assert!(power / tree > gain, "{levels} levels: {power} by power, {tree} by the tree");
+    for (levels, samples, gains) in [(2, 48, [8.5, 8.5]), (64, 32, [5.0, 3.7])] {
+        let image = |tree, seed| {
+            let options = by(tree, levels, RenderOptions { seed, ..options.clone() });
+            render(&scene, Engine::Cpu, &options, samples).image
+        };
+        let (by_power, by_tree, other) = (image(false, 71), image(true, 71), image(true, 79));
+        for (truth, gain) in [&by_tree, &other].into_iter().zip(gains) {
+            let [power, tree] = [&by_power, &by_tree].map(|image| noise(image, truth, samples, &dim));
+            println!(
+                "{levels} levels: relMSE of one sample {power:.3} by power, {tree:.3} by the tree: {:.2}",
+                power / tree
+            );
+            assert!(power / tree > gain, "{levels} levels: {power} by power, {tree} by the tree");
+        }
     }
 }
 
@@ -173,7 +179,7 @@ fn a_light_among_many_of_a_hundred_million_times_its_strength_keeps_its_share() 
 }
 
 /// Ten thousand triangles of a lamp that is about a ball: the closed form of the ball within its facets, 1 %, and 4 standard
-/// errors; and less noise than by power.
+/// errors; and less than a ninth of the variance by power.
 #[test]
 fn a_lamp_of_ten_thousand_triangles_is_as_bright_as_the_ball() {
     let center = DVec3::new(0.0, 1.5, 0.0);
@@ -203,6 +209,6 @@ fn a_lamp_of_ten_thousand_triangles_is_as_bright_as_the_ball() {
             "{engine:?}: {tree:?} for {expected}"
         );
         assert!((power.0 - tree.0).abs() < 4.0 * power.1.hypot(tree.1), "{engine:?}: {power:?} {tree:?}");
-        assert!(gain > 2.0, "{engine:?}: {gain}");
+        assert!(gain > 9.0, "{engine:?}: {gain}");
     }
 }
