@@ -5,9 +5,10 @@ use std::collections::HashSet;
 use glam::DVec3;
 
 use super::error::{Fault, quoted};
+use super::mesh::MOST_TRIANGLES;
 use super::texture::{check_size, check_sum};
 use super::{
-    Camera, Defaults, EnvironmentMap, Geometry, Material, MaterialKind, Placement, Scene, SceneError, Shape,
+    Camera, Defaults, EnvironmentMap, Geometry, Material, MaterialKind, Mesh, Placement, Scene, SceneError, Shape,
     Texture,
 };
 
@@ -29,6 +30,8 @@ const BRIGHTEST: f64 = 1e15;
 const MOST_BOUNCES: u32 = 64;
 const LARGEST_EXPONENT: f64 = 1e6;
 const LARGEST_IOR: f64 = 10.0;
+/// Triangles that can be told apart when each instance is counted: numbers of shapes, with room for other shapes.
+const MOST_SEEN: u64 = u32::MAX as u64 - (1 << 24);
 
 impl Scene {
     /// Checks every rule; loading and building have done so already, so this is for scenes changed since.
@@ -63,7 +66,9 @@ impl Scene {
             named(&object, geometry(&shape.geometry))?;
             named(&object, material_exists(shape, self.materials.len()))?;
             named(&object, takes_textures(shape, &self.materials[shape.material]))?;
+            named(&object, shared_is_dark(shape, &self.materials[shape.material]))?;
         }
+        named("scene", triangles(&self.shapes))?;
         Ok(())
     }
 }
@@ -222,12 +227,41 @@ fn takes_textures(shape: &Shape, material: &Material) -> Check {
         _ if !material.textures.any() => Ok(()),
         Geometry::Quad { .. } => Ok(()),
         Geometry::Sphere { .. } => Err(format!("{label} has textures, which spheres can't take; use a mesh")),
-        Geometry::Mesh(mesh) => ensure(mesh.has_uvs(), || {
-            format!(
-                "{label} has textures, but the mesh no texture coordinates; write it with them, or use another material"
-            )
-        }),
+        Geometry::Mesh(mesh) => with_coordinates(mesh, &label),
+        Geometry::Instance(instance) => with_coordinates(instance.mesh(), &label),
     }
+}
+
+fn with_coordinates(mesh: &Mesh, label: &str) -> Check {
+    ensure(mesh.has_uvs(), || {
+        format!(
+            "{label} has textures, but the mesh no texture coordinates; write it with them, or use another material"
+        )
+    })
+}
+
+/// Whether there are numbers for all triangles.
+fn triangles(shapes: &[Shape]) -> Check {
+    let (mut laid_out, mut seen) = (0u64, 0u64);
+    for geometry in shapes.iter().map(|shape| &shape.geometry) {
+        let count = geometry.mesh().map_or(0, |mesh| mesh.len() as u64);
+        seen += count;
+        laid_out += if matches!(geometry, Geometry::Mesh(_)) { count } else { 0 };
+    }
+    ensure(laid_out <= MOST_TRIANGLES as u64, || {
+        format!("has {laid_out} triangles; stay within {MOST_TRIANGLES}")
+    })?;
+    ensure(seen <= MOST_SEEN, || {
+        format!("has {seen} triangles, each instance counted; stay within {MOST_SEEN}, with fewer instances")
+    })
+}
+
+/// An instance's triangles shine at one place only, so it must not emit.
+fn shared_is_dark(shape: &Shape, material: &Material) -> Check {
+    let instance = matches!(shape.geometry, Geometry::Instance(_));
+    ensure(!(instance && material.is_emissive()), || {
+        format!("{} emits, which instances can't; make it a mesh of its own", material_label(&material.name))
+    })
 }
 
 fn refractive_index(ior: f64) -> Check {
@@ -243,7 +277,7 @@ pub(super) fn geometry(geometry: &Geometry) -> Check {
         Geometry::Sphere { center, radius, .. } => sphere(center, radius),
         Geometry::Quad { corner, e1, e2 } => quad(corner, e1, e2),
         // Checked when it was made.
-        Geometry::Mesh(_) => Ok(()),
+        Geometry::Mesh(_) | Geometry::Instance(_) => Ok(()),
     }
 }
 

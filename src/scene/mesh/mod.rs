@@ -4,6 +4,7 @@ pub(super) mod file;
 mod obj;
 mod placement;
 mod ply;
+mod sharing;
 #[cfg(test)]
 mod tests;
 
@@ -15,13 +16,15 @@ use super::triangle::{SMALLEST_SQUARE, double_area};
 
 pub use file::MeshFormat;
 pub use placement::Placement;
+pub use sharing::MeshInstance;
+pub(super) use sharing::Sharing;
 
 /// Coordinates beyond which products of areas would overflow an f32.
 const LARGEST: f64 = 1e9;
 /// Texture coordinates beyond which f32 tells few texels apart.
 const FARTHEST_UV: f32 = 1e6;
 /// Triangles that a scene can number.
-const MOST_TRIANGLES: usize = 1 << 30;
+pub(super) const MOST_TRIANGLES: usize = 1 << 30;
 
 /// Corners and triangles as someone gave them; nothing is checked before a scene takes them in.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -1,0 +1,106 @@
+//! Meshes that stand in several places: what they share, and each place.
+
+use std::sync::Arc;
+
+use glam::{DAffine3, DVec3, Vec3};
+
+use super::{LARGEST, Mesh, MeshData, has_area};
+use crate::scene::instance::{Instance, place_corner};
+use crate::scene::triangle::double_area;
+
+/// Coordinates in the world may be so many times smaller than what adds up to them; beyond that, too many of their digits
+/// would be lost in f32, and the mesh is placed in f64.
+const MOST_CANCELLED: f32 = 4.0;
+/// A mesh smaller than this is not shared: f32 might not tell its triangles from nothing before they are scaled up.
+const SMALLEST: f64 = 1e-3;
+/// What rounding moves corners by, at most, as a share of the instance's reach: eight half units in the last place.
+const MOVED: f64 = 8.0 / 16_777_216.0;
+
+/// A mesh at one of the places where it stands. It shares its triangles with the others; in the world they are where its
+/// matrix brings them in f32.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MeshInstance {
+    mesh: Arc<Mesh>,
+    /// All but its numbers and its material.
+    place: Instance,
+    bounds: [Vec3; 2],
+}
+
+impl MeshInstance {
+    /// The mesh in its own coordinates.
+    pub fn mesh(&self) -> &Arc<Mesh> {
+        &self.mesh
+    }
+
+    /// The box around all triangles: its least and its greatest corner.
+    pub fn bounds(&self) -> [Vec3; 2] {
+        self.bounds
+    }
+
+    pub(in crate::scene) fn place(&self) -> Instance {
+        self.place
+    }
+}
+
+/// A mesh that may be shared, and what decides where.
+#[derive(Debug)]
+pub(in crate::scene) struct Sharing {
+    mesh: Arc<Mesh>,
+    /// Of the triangles, each once.
+    corners: Vec<Vec3>,
+    /// Largest coordinates.
+    farthest: DVec3,
+    /// Least distance of a corner from the opposite edge.
+    least_height: f64,
+    /// Least double area.
+    least_area: f64,
+}
+
+impl Sharing {
+    /// Nothing where the mesh had better be placed in f64, each time anew, or is none.
+    pub fn new(data: &MeshData) -> Option<Sharing> {
+        let mesh = Mesh::with_area(data).ok()??;
+        let mut used = vec![false; mesh.positions.len()];
+        mesh.triangles.iter().flatten().for_each(|&corner| used[corner as usize] = true);
+        let corners: Vec<Vec3> =
+            mesh.positions.iter().zip(used).filter(|(_, used)| *used).map(|(p, _)| *p).collect();
+        let farthest = corners.iter().fold(Vec3::ZERO, |most, p| most.max(p.abs())).as_dvec3();
+        let (mut least_height, mut least_area) = (f64::MAX, f64::MAX);
+        for [a, b, c] in mesh.triangles() {
+            let area = f64::from(double_area(a, b, c).length());
+            let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
+            least_height = least_height.min(area / f64::from(longest));
+            least_area = least_area.min(area);
+        }
+        let mesh = Arc::new(mesh);
+        let sharing = Sharing { mesh, corners, farthest, least_height, least_area };
+        (sharing.farthest.max_element() >= SMALLEST).then_some(sharing)
+    }
+
+    /// How many triangles all instances have in common.
+    pub fn len(&self) -> usize {
+        self.mesh.len()
+    }
+
+    /// The mesh under that map; nothing where it had better be placed in f64, or where a triangle would lose its area.
+    pub fn at(&self, map: &DAffine3) -> Option<MeshInstance> {
+        let place = Instance::new(map, self.farthest)?;
+        let [mut low, mut high] = [Vec3::INFINITY, Vec3::NEG_INFINITY];
+        for &corner in &self.corners {
+            let placed = place_corner(&place, corner);
+            (low, high) = (low.min(placed), high.max(placed));
+        }
+        let largest = low.abs().max(high.abs()).max_element();
+        let fits = f64::from(largest) <= LARGEST && place.reach <= MOST_CANCELLED * largest;
+        let placed = |corners: [Vec3; 3]| corners.map(|corner| place_corner(&place, corner));
+        let whole = || self.surely_keeps_areas(&place) || self.mesh.triangles().all(|t| has_area(placed(t)));
+        (fits && whole()).then(|| MeshInstance { mesh: self.mesh.clone(), place, bounds: [low, high] })
+    }
+
+    /// Whether no triangle can lose its area, without asking each.
+    fn surely_keeps_areas(&self, place: &Instance) -> bool {
+        let (least, most) = place.sizes();
+        let height = self.least_height * least * least / most;
+        height > 8.0 * MOVED * f64::from(place.reach) && self.least_area * least * least > 1e-17
+    }
+}
