@@ -6,7 +6,7 @@ use std::sync::Arc;
 use glam::{DAffine3, DVec3};
 
 use super::boxes::box_quads;
-use super::description::{MaterialNames, material_index};
+use super::description::material_index;
 use super::error::Fault;
 use super::mesh::Sharing;
 use super::validate::{self, shape_label};

@@ -55,9 +55,8 @@ struct Group {
 impl Group {
     /// Bytes that sharing saves.
     fn saving(&self, per_triangle: u64) -> u64 {
-        let each = 16 * (Instance::ROWS + NODE_ROWS) as u64;
         let laid_out = self.count * self.triangles * per_triangle;
-        laid_out.saturating_sub(self.triangles * per_triangle + self.count * each)
+        laid_out.saturating_sub(self.triangles * per_triangle + self.count * INSTANCE_BYTES)
     }
 }
 
@@ -86,14 +85,24 @@ fn sharing(mut groups: Vec<Group>, how: Instancing, per_triangle: u64) -> HashSe
     groups.iter().filter_map(shares).collect()
 }
 
-impl CompiledScene {
-    /// Bytes that a triangle takes, with its node and what surfaces of this scene have.
-    fn bytes_per_triangle(&self) -> u64 {
-        let normals = if self.surfaces.is_smooth() { TriangleNormals::ROWS } else { 0 };
-        let uvs = if self.surfaces.is_textured() { TriangleUvs::ROWS } else { 0 };
-        16 * (Triangle::ROWS + NODE_ROWS + normals + uvs) as u64
-    }
+/// Bytes that a triangle takes, with its node and what surfaces of this scene have.
+fn bytes_per_triangle(scene: &CompiledScene) -> u64 {
+    let normals = if scene.surfaces.is_smooth() { TriangleNormals::ROWS } else { 0 };
+    let uvs = if scene.surfaces.is_textured() { TriangleUvs::ROWS } else { 0 };
+    16 * (Triangle::ROWS + NODE_ROWS + normals + uvs) as u64
+}
 
+/// Bytes of an instance, with its node.
+const INSTANCE_BYTES: u64 = 16 * (Instance::ROWS + NODE_ROWS) as u64;
+
+/// Bytes of all that is shared, and what it would take laid out.
+pub fn shared_bytes(scene: &CompiledScene) -> [u64; 2] {
+    let (each, shared) = (bytes_per_triangle(scene), &scene.shared);
+    let stored = shared.triangles.len() as u64 * each;
+    [stored + shared.instances.len() as u64 * INSTANCE_BYTES, shared.seen as u64 * each]
+}
+
+impl CompiledScene {
     /// Takes in the instances among the shapes, behind all that stands once; returns the hierarchies of the meshes that are
     /// shared.
     pub(super) fn add_instances<'a>(&mut self, shapes: &[&'a Shape], how: Instancing) -> Vec<Bvh> {
@@ -102,7 +111,7 @@ impl CompiledScene {
             _ => None,
         };
         let instances: Vec<(&MeshInstance, u32)> = shapes.iter().filter_map(instance).collect();
-        let sharing = sharing(groups(&instances), how, self.bytes_per_triangle());
+        let sharing = sharing(groups(&instances), how, bytes_per_triangle(self));
         let (shared, laid_out): (Vec<_>, Vec<_>) = instances
             .into_iter()
             .partition(|(instance, _)| sharing.contains(&Arc::as_ptr(instance.mesh())));

@@ -18,7 +18,7 @@ pub const INSTANCE: u32 = 1 << 30;
 
 /// Where boxes are met: a ray in their coordinates. Their low sides are seen from above it, their high sides from below, by as
 /// much as it may be off.
-struct Frame {
+struct BoxFrame {
     above: Vec3A,
     below: Vec3A,
     inverse: Vec3A,
@@ -26,23 +26,23 @@ struct Frame {
 
 /// In the world, where the ray is as it is.
 #[inline(always)]
-fn world_frame(ray: Ray) -> Frame {
+fn world_frame(ray: Ray) -> BoxFrame {
     let origin = ray.origin.into();
-    Frame { above: origin, below: origin, inverse: inverse_direction(ray.direction).into() }
+    BoxFrame { above: origin, below: origin, inverse: inverse_direction(ray.direction).into() }
 }
 
 /// In the coordinates of a mesh. The direction keeps its length in the world, so that distances are the world's.
 #[inline(always)]
-fn mesh_frame(instance: &Instance, ray: Ray) -> Frame {
+fn mesh_frame(instance: &Instance, ray: Ray) -> BoxFrame {
     let origin = to_mesh(instance, ray.origin - instance.translation);
     let slack = instance.slack * (ray.origin.abs().max_element() + instance.reach);
     let inverse = inverse_direction(to_mesh(instance, ray.direction));
-    Frame { above: (origin + slack).into(), below: (origin - slack).into(), inverse: inverse.into() }
+    BoxFrame { above: (origin + slack).into(), below: (origin - slack).into(), inverse: inverse.into() }
 }
 
 /// Where the ray enters the box, T_MISS if it does not before `t_max`.
 #[inline(always)]
-fn widened_distance(frame: &Frame, low: &Row, high: &Row, t_max: f32) -> f32 {
+fn widened_distance(frame: &BoxFrame, low: &Row, high: &Row, t_max: f32) -> f32 {
     let a = (corner(low) - frame.above) * frame.inverse;
     let b = (corner(high) - frame.below) * frame.inverse;
     let (near, far) = (a.min(b), a.max(b));
@@ -60,7 +60,7 @@ struct ChildrenMet {
 }
 
 #[inline(always)]
-fn children_met(bvh: &Bvh, node: u32, frame: &Frame, t_max: f32) -> ChildrenMet {
+fn children_met(bvh: &Bvh, node: u32, frame: &BoxFrame, t_max: f32) -> ChildrenMet {
     let [low0, high0, low1, high1] = &bvh.rows.as_chunks::<NODE_ROWS>().0[node as usize];
     let t0 = widened_distance(frame, low0, high0, t_max);
     let t1 = widened_distance(frame, low1, high1, t_max);
@@ -108,7 +108,7 @@ pub fn intersect(scene: &CompiledScene, bvh: &Bvh, ray: Ray) -> Option<Hit> {
     let mut hit = Hit { t: T_MISS, shape: u32::MAX };
     let mut waiting = Waiting::none();
     // The mesh that the walk is in, the ray there, and how much was waiting when it came in.
-    let (mut within, mut inner, mut floor): (Option<&Instance>, Frame, usize) = (None, world_frame(ray), 0);
+    let (mut within, mut inner, mut floor): (Option<&Instance>, BoxFrame, usize) = (None, world_frame(ray), 0);
     let mut at = 0;
     loop {
         if within.is_none() && at & (LEAF | INSTANCE) == LEAF | INSTANCE {
@@ -151,7 +151,7 @@ pub fn intersect(scene: &CompiledScene, bvh: &Bvh, ray: Ray) -> Option<Hit> {
 pub fn occluded(scene: &CompiledScene, bvh: &Bvh, ray: Ray, t_max: f32, excluded: u32) -> bool {
     let (walker, world) = (walker(ray), world_frame(ray));
     let mut waiting = Waiting::none();
-    let (mut within, mut inner, mut floor): (Option<&Instance>, Frame, usize) = (None, world_frame(ray), 0);
+    let (mut within, mut inner, mut floor): (Option<&Instance>, BoxFrame, usize) = (None, world_frame(ray), 0);
     let mut at = 0;
     loop {
         if within.is_none() && at & (LEAF | INSTANCE) == LEAF | INSTANCE {

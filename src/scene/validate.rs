@@ -68,8 +68,16 @@ impl Scene {
             named(&object, takes_textures(shape, &self.materials[shape.material]))?;
             named(&object, shared_is_dark(shape, &self.materials[shape.material]))?;
         }
-        named("scene", triangles(&self.shapes))?;
+        named("scene", triangles(self))?;
         Ok(())
+    }
+}
+
+impl Scene {
+    /// How many triangles are seen, those of a mesh counted at each of its places.
+    pub fn triangle_count(&self) -> u64 {
+        let count = |shape: &Shape| shape.geometry.mesh().map_or(0, |mesh| mesh.len() as u64);
+        self.shapes.iter().map(count).sum()
     }
 }
 
@@ -241,13 +249,12 @@ fn with_coordinates(mesh: &Mesh, label: &str) -> Check {
 }
 
 /// Whether there are numbers for all triangles.
-fn triangles(shapes: &[Shape]) -> Check {
-    let (mut laid_out, mut seen) = (0u64, 0u64);
-    for geometry in shapes.iter().map(|shape| &shape.geometry) {
-        let count = geometry.mesh().map_or(0, |mesh| mesh.len() as u64);
-        seen += count;
-        laid_out += if matches!(geometry, Geometry::Mesh(_)) { count } else { 0 };
-    }
+fn triangles(scene: &Scene) -> Check {
+    let seen = scene.triangle_count();
+    let laid_out: u64 = scene.shapes.iter().map(|shape| match &shape.geometry {
+        Geometry::Mesh(mesh) => mesh.len() as u64,
+        _ => 0,
+    }).sum();
     ensure(laid_out <= MOST_TRIANGLES as u64, || {
         format!("has {laid_out} triangles; stay within {MOST_TRIANGLES}")
     })?;
@@ -256,7 +263,7 @@ fn triangles(shapes: &[Shape]) -> Check {
     })
 }
 
-/// An instance's triangles shine at one place only, so it must not emit.
+/// A lamp is a triangle with a place of its own.
 fn shared_is_dark(shape: &Shape, material: &Material) -> Check {
     let instance = matches!(shape.geometry, Geometry::Instance(_));
     ensure(!(instance && material.is_emissive()), || {

@@ -77,11 +77,6 @@ impl Sharing {
         (sharing.farthest.max_element() >= SMALLEST).then_some(sharing)
     }
 
-    /// How many triangles all instances have in common.
-    pub fn len(&self) -> usize {
-        self.mesh.len()
-    }
-
     /// The mesh under that map; nothing where it had better be placed in f64, or where a triangle would lose its area.
     pub fn at(&self, map: &DAffine3) -> Option<MeshInstance> {
         let place = Instance::new(map, self.farthest)?;

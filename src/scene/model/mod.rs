@@ -164,7 +164,8 @@ impl Model {
         let outer = standing.placement.transform();
         let shared = |instance: &Instance| {
             let sharing = self.shared.get(&(instance.surface, standing.smooth))?.as_ref()?;
-            sharing.at(&(outer * instance.transform))
+            let shines = (standing.emits)(self.surfaces[instance.surface].material);
+            (!shines).then_some(sharing)?.at(&(outer * instance.transform))
         };
         let shared: Vec<Option<MeshInstance>> = self.instances.par_iter().map(shared).collect();
         self.check_repeated(&shared)?;
