@@ -191,7 +191,8 @@ fn write(folder: &Path, triangles: u32, trees: u32) -> Result<(PathBuf, usize), 
 }
 
 fn main() -> Result<(), Box<dyn error::Error>> {
-    let usage = "usage: grove TRIANGLES TREES [FOLDER]; from 98 to 100 million triangles each, up to 250,000 trees";
+    let usage =
+        "usage: grove TRIANGLES TREES [FOLDER]; from 98 to 100 million triangles each, up to 250,000 trees";
     let mut arguments = env::args().skip(1);
     let mut count = |range: std::ops::RangeInclusive<u32>| {
         let count = arguments.next().and_then(|n| n.parse().ok()).ok_or(usage)?;
@@ -225,7 +226,8 @@ mod tests {
         let shared = scene.shapes.iter().filter(|shape| matches!(shape.geometry, Geometry::Instance(_)));
         assert_eq!((shared.count(), each, scene.triangle_count()), (40, 1000, 40_000));
         assert!(scene.warnings().is_empty(), "{:?}", scene.warnings());
-        let [mesh, text] = ["tree.ply", "grove.toml"].map(|name| fingerprint(&fs::read(folder.path().join(name)).unwrap()));
+        let [mesh, text] =
+            ["tree.ply", "grove.toml"].map(|name| fingerprint(&fs::read(folder.path().join(name)).unwrap()));
         assert_eq!([mesh, text], [0, 0], "other bytes than elsewhere: {mesh:#x} {text:#x}");
     }
 }

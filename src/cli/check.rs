@@ -5,9 +5,9 @@ use super::failure::Failure;
 use clap::Args;
 use qtracer::engine::{InstanceStats, SurfaceStats};
 use qtracer::gpu::key::{KIND_NAMES, KernelKey};
+use qtracer::scene::MaterialKind;
 use qtracer::scene::compiled::CompiledScene;
 use qtracer::scene::environment::Sky;
-use qtracer::scene::MaterialKind;
 use qtracer::{RenderOptions, Scene};
 use std::path::{Path, PathBuf};
 

@@ -316,7 +316,8 @@ fn instance(
     shines: bool,
     shared: &mut Shared,
 ) -> Result<Geometry, Fault> {
-    let (_, sharing) = shared.entry(Arc::as_ptr(&data)).or_insert_with(|| (data.clone(), Sharing::new(&data)));
+    let (_, sharing) =
+        shared.entry(Arc::as_ptr(&data)).or_insert_with(|| (data.clone(), Sharing::new(&data)));
     match sharing.as_ref().filter(|_| !shines).and_then(|sharing| sharing.at(map)) {
         Some(instance) => Ok(Geometry::Instance(instance)),
         None => laid_out(&data.transformed(map)),

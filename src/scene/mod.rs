@@ -100,8 +100,8 @@ pub use builder::SceneBuilder;
 pub use environment::EnvironmentMap;
 pub use error::{Place, SceneError};
 pub use mesh::{Mesh, MeshData, MeshFormat, MeshInstance, Placement, Repairs};
-pub use texture::{MaterialTextures, Texture, TextureRef, Wrap};
 pub use sharing::Instancing;
+pub use texture::{MaterialTextures, Texture, TextureRef, Wrap};
 pub use validate::check_image_size;
 pub use warning::SceneWarning;
 

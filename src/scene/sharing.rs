@@ -112,9 +112,8 @@ impl CompiledScene {
         };
         let instances: Vec<(&MeshInstance, u32)> = shapes.iter().filter_map(instance).collect();
         let sharing = sharing(groups(&instances), how, bytes_per_triangle(self));
-        let (shared, laid_out): (Vec<_>, Vec<_>) = instances
-            .into_iter()
-            .partition(|(instance, _)| sharing.contains(&Arc::as_ptr(instance.mesh())));
+        let (shared, laid_out): (Vec<_>, Vec<_>) =
+            instances.into_iter().partition(|(instance, _)| sharing.contains(&Arc::as_ptr(instance.mesh())));
         laid_out.into_iter().for_each(|(instance, material)| self.lay_out(instance, material));
         self.share(&shared)
     }

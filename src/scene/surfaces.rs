@@ -90,7 +90,8 @@ impl Surfaces {
     pub fn new(scene: &Scene) -> Surfaces {
         let mut used = vec![false; scene.materials.len()];
         scene.shapes.iter().for_each(|shape| used[shape.material] = true);
-        let smooth = scene.shapes.iter().filter_map(|shape| shape.geometry.mesh()).any(|mesh| mesh.is_smooth());
+        let smooth =
+            scene.shapes.iter().filter_map(|shape| shape.geometry.mesh()).any(|mesh| mesh.is_smooth());
         let textured = |(material, used): &(&Material, &bool)| **used && material.textures.any();
         let mut surfaces = Surfaces { smooth, ..Default::default() };
         let materials = || scene.materials.iter().zip(&used);

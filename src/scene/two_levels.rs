@@ -108,7 +108,8 @@ pub fn intersect(scene: &CompiledScene, bvh: &Bvh, ray: Ray) -> Option<Hit> {
     let mut hit = Hit { t: T_MISS, shape: u32::MAX };
     let mut waiting = Waiting::none();
     // The mesh that the walk is in, the ray there, and how much was waiting when it came in.
-    let (mut within, mut inner, mut floor): (Option<&Instance>, BoxFrame, usize) = (None, world_frame(ray), 0);
+    let (mut within, mut inner, mut floor): (Option<&Instance>, BoxFrame, usize) =
+        (None, world_frame(ray), 0);
     let mut at = 0;
     loop {
         if within.is_none() && at & (LEAF | INSTANCE) == LEAF | INSTANCE {
@@ -151,7 +152,8 @@ pub fn intersect(scene: &CompiledScene, bvh: &Bvh, ray: Ray) -> Option<Hit> {
 pub fn occluded(scene: &CompiledScene, bvh: &Bvh, ray: Ray, t_max: f32, excluded: u32) -> bool {
     let (walker, world) = (walker(ray), world_frame(ray));
     let mut waiting = Waiting::none();
-    let (mut within, mut inner, mut floor): (Option<&Instance>, BoxFrame, usize) = (None, world_frame(ray), 0);
+    let (mut within, mut inner, mut floor): (Option<&Instance>, BoxFrame, usize) =
+        (None, world_frame(ray), 0);
     let mut at = 0;
     loop {
         if within.is_none() && at & (LEAF | INSTANCE) == LEAF | INSTANCE {

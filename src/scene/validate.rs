@@ -8,8 +8,8 @@ use super::error::{Fault, quoted};
 use super::mesh::MOST_TRIANGLES;
 use super::texture::{check_size, check_sum};
 use super::{
-    Camera, Defaults, EnvironmentMap, Geometry, Material, MaterialKind, Mesh, Placement, Scene, SceneError, Shape,
-    Texture,
+    Camera, Defaults, EnvironmentMap, Geometry, Material, MaterialKind, Mesh, Placement, Scene, SceneError,
+    Shape, Texture,
 };
 
 /// `Err` says what is wrong and the remedy, without the object's name.
@@ -31,7 +31,7 @@ const MOST_BOUNCES: u32 = 64;
 const LARGEST_EXPONENT: f64 = 1e6;
 const LARGEST_IOR: f64 = 10.0;
 /// Triangles that can be told apart when each instance is counted: numbers of shapes, with room for other shapes.
-const MOST_SEEN: u64 = u32::MAX as u64 - (1 << 24);
+pub(super) const MOST_SEEN: u64 = u32::MAX as u64 - (1 << 24);
 
 impl Scene {
     /// Checks every rule; loading and building have done so already, so this is for scenes changed since.
@@ -251,10 +251,14 @@ fn with_coordinates(mesh: &Mesh, label: &str) -> Check {
 /// Whether there are numbers for all triangles.
 fn triangles(scene: &Scene) -> Check {
     let seen = scene.triangle_count();
-    let laid_out: u64 = scene.shapes.iter().map(|shape| match &shape.geometry {
-        Geometry::Mesh(mesh) => mesh.len() as u64,
-        _ => 0,
-    }).sum();
+    let laid_out: u64 = scene
+        .shapes
+        .iter()
+        .map(|shape| match &shape.geometry {
+            Geometry::Mesh(mesh) => mesh.len() as u64,
+            _ => 0,
+        })
+        .sum();
     ensure(laid_out <= MOST_TRIANGLES as u64, || {
         format!("has {laid_out} triangles; stay within {MOST_TRIANGLES}")
     })?;

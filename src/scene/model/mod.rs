@@ -19,6 +19,7 @@ use glam::{DAffine3, DVec3};
 use rayon::prelude::*;
 
 use super::mesh::{Placement, Sharing, file};
+use super::validate::MOST_SEEN;
 use super::{Geometry, Material, Mesh, MeshData, MeshInstance, Shape, Texture};
 use findings::Findings;
 use names::Names;
@@ -160,6 +161,7 @@ impl Model {
     /// Instances of a surface share its triangles where that spares many and nothing stands against it; the others have their
     /// own, placed in f64.
     pub fn place(&mut self, standing: &Standing<'_>) -> Result<Vec<Shape>, String> {
+        self.check_seen()?;
         self.find_shared(standing);
         let outer = standing.placement.transform();
         let shared = |instance: &Instance| {
@@ -193,6 +195,17 @@ impl Model {
         Ok(placed.into_iter().flatten().collect())
     }
 
+    /// Refuses more triangles than have numbers before any of them is placed.
+    fn check_seen(&self) -> Result<(), String> {
+        let triangles = |instance: &Instance| self.surfaces[instance.surface].data.triangles.len() as u64;
+        match self.instances.iter().map(triangles).sum::<u64>() > MOST_SEEN {
+            true => Err(format!(
+                "has more than {MOST_SEEN} triangles, each instance counted; take instances away"
+            )),
+            false => Ok(()),
+        }
+    }
+
     /// Prepares the surfaces that are to be shared, each once.
     fn find_shared(&mut self, standing: &Standing<'_>) {
         let mut counts = vec![0; self.surfaces.len()];
@@ -222,7 +235,12 @@ impl Model {
     }
 
     /// Triangles of the instance's own; nothing if they have no area.
-    fn lay_out(&self, instance: &Instance, outer: &DAffine3, smooth: bool) -> Result<Option<Geometry>, String> {
+    fn lay_out(
+        &self,
+        instance: &Instance,
+        outer: &DAffine3,
+        smooth: bool,
+    ) -> Result<Option<Geometry>, String> {
         let surface = &self.surfaces[instance.surface];
         let mut data = surface.data.transformed(&(outer * instance.transform));
         if !smooth {

@@ -39,7 +39,10 @@ fn nodes_of_a_gltf_file_share_their_mesh_where_it_is_large() {
     let scene = file.scene();
     assert_eq!((instances(&scene), scene.triangle_count()), (5, 5 * 5120));
     let [low, high] = scene.shapes[4].geometry.mesh_bounds().unwrap();
-    assert!((low.x - 11.0).abs() < 0.05 && (high.x - 13.0).abs() < 0.05 && (high.z - 0.5).abs() < 0.05, "{low} {high}");
+    assert!(
+        (low.x - 11.0).abs() < 0.05 && (high.x - 13.0).abs() < 0.05 && (high.z - 0.5).abs() < 0.05,
+        "{low} {high}"
+    );
     // One without area is left out, and so many that are small have triangles of their own.
     file.stand(json!({ "mesh": 0, "scale": [1, 0, 0] }));
     let scene = file.scene();
@@ -63,7 +66,9 @@ const HEAD: &str = "name = 's'\n[camera]\norigin = [0, 0, 4]\ntarget = [0, 0, 0]
 
 fn obj(data: &MeshData) -> String {
     let mut text = String::new();
-    data.positions.iter().for_each(|p| writeln!(text, "v {} {} {}", p.x as f32, p.y as f32, p.z as f32).unwrap());
+    data.positions
+        .iter()
+        .for_each(|p| writeln!(text, "v {} {} {}", p.x as f32, p.y as f32, p.z as f32).unwrap());
     data.triangles.iter().for_each(|[a, b, c]| writeln!(text, "f {} {} {}", a + 1, b + 1, c + 1).unwrap());
     text
 }
@@ -76,7 +81,11 @@ fn a_scene_shares_the_file_that_it_places_often() {
     place.write("once.obj", obj(&icosphere(5)));
     let mut text = HEAD.to_owned();
     let mut add = |file: &str, material: &str, x: u32| {
-        write!(text, "[[shapes]]\ntype = 'mesh'\nfile = '{file}'\nmaterial = '{material}'\ntranslate = [{x}, 0, 0]\n").unwrap();
+        write!(
+            text,
+            "[[shapes]]\ntype = 'mesh'\nfile = '{file}'\nmaterial = '{material}'\ntranslate = [{x}, 0, 0]\n"
+        )
+        .unwrap();
     };
     (0..4).for_each(|x| add("ball.obj", ["a", "b"][x as usize % 2], 3 * x));
     add("ball.obj", "lamp", 20);
@@ -98,8 +107,10 @@ fn a_scene_shares_the_file_that_it_places_often() {
 #[test]
 fn a_thousand_instances_take_the_memory_of_one() {
     let places = |count: u32| {
-        let at = |i: u32| DAffine3::from_translation(DVec3::new(f64::from(i % 32), 0.0, f64::from(i / 32)) * 3.0);
-        let scene = under_a_sky([0.0, 0.0, 9.0], [0.0; 3]).mesh_in_places(icosphere(5), (0..count).map(|i| (at(i), "grey")));
+        let at =
+            |i: u32| DAffine3::from_translation(DVec3::new(f64::from(i % 32), 0.0, f64::from(i / 32)) * 3.0);
+        let scene = under_a_sky([0.0, 0.0, 9.0], [0.0; 3])
+            .mesh_in_places(icosphere(5), (0..count).map(|i| (at(i), "grey")));
         CompiledScene::new(&scene.build().unwrap())
     };
     let (one, thousand) = (rows::bytes(&places(1)), places(1000));
@@ -159,11 +170,14 @@ fn what_has_no_numbers_or_shines_is_refused() {
 fn without_instances_nothing_of_them_is_linked() {
     let estimators = estimators(GuideMode::Off, Roulette::Throughput);
     let link = |how| {
-        let scene = under_a_sky([0.0, 0.0, 9.0], [0.0; 3])
-            .mesh_in_places(rock(&mut Numbers(1), 1), [(DAffine3::IDENTITY, "grey"), (DAffine3::IDENTITY, "red")]);
+        let scene = under_a_sky([0.0, 0.0, 9.0], [0.0; 3]).mesh_in_places(
+            rock(&mut Numbers(1), 1),
+            [(DAffine3::IDENTITY, "grey"), (DAffine3::IDENTITY, "red")],
+        );
         let compiled = CompiledScene::with_instances(&scene.build().unwrap(), how);
         let key = KernelKey::new(&compiled, &estimators);
-        qtracer::gpu::link::link(qtracer::gpu::stage::Stage::Step, &key, qtracer::gpu::stage::Schedule::Fused).unwrap()
+        qtracer::gpu::link::link(qtracer::gpu::stage::Stage::Step, &key, qtracer::gpu::stage::Schedule::Fused)
+            .unwrap()
     };
     let [shared, laid_out] = [Instancing::Shared, Instancing::LaidOut].map(link);
     for word in ["nstance", "mesh_frame", "place_"] {

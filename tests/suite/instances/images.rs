@@ -39,18 +39,20 @@ fn pictures_of_flat_instances_are_those_of_laid_out_ones() {
         let laid_out = render(&scene, engine, &by(Instancing::LaidOut, &options), 4);
         assert_eq!(differing_pixels(&shared.film, &laid_out.film), 0, "{engine:?}");
         let stats = shared.stats.instances.unwrap();
-        assert_eq!((stats.instances, stats.meshes, stats.stored_triangles, stats.seen_triangles), (12, 1, 320, 3840));
+        assert_eq!(
+            (stats.instances, stats.meshes, stats.stored_triangles, stats.seen_triangles),
+            (12, 1, 320, 3840)
+        );
         assert!(laid_out.stats.instances.is_none());
         let other = render(&moved, engine, &by(Instancing::Shared, &options), 4);
         assert!(differing_pixels(&shared.film, &other.film) > 5, "{engine:?}: nothing noticed");
     }
 }
 
-/// Twice as many colours as 16 bits of a normal can tell: normals of instances are rounded before they are placed, those laid
-/// out behind it. Mean difference of a pixel against the mean brightness.
+/// Mean difference of a pixel against the mean brightness.
 fn difference(scene: &Scene, engine: Engine, options: &RenderOptions, spp: u32) -> f64 {
-    let [shared, laid_out] =
-        [Instancing::Shared, Instancing::LaidOut].map(|how| render(scene, engine, &by(how, options), spp).image);
+    let [shared, laid_out] = [Instancing::Shared, Instancing::LaidOut]
+        .map(|how| render(scene, engine, &by(how, options), spp).image);
     let pairs = || shared.rgb.iter().flatten().zip(laid_out.rgb.iter().flatten());
     let apart: f64 = pairs().map(|(a, b)| f64::from((a - b).abs())).sum();
     apart / pairs().map(|(_, b)| f64::from(*b)).sum::<f64>()
@@ -73,12 +75,16 @@ fn smooth_instances_look_as_laid_out_ones_do() {
     }
     let flat = grove(rock(&mut Numbers(4), 2));
     let [a, b] = [&scene, &flat].map(|scene| render(scene, Engine::Cpu, &small(24, 18, 6), 8).image);
-    let apart: f64 = a.rgb.iter().flatten().zip(b.rgb.iter().flatten()).map(|(a, b)| f64::from((a - b).abs())).sum();
-    assert!(apart / a.rgb.iter().flatten().map(|x| f64::from(*x)).sum::<f64>() > 100.0 * SMOOTH_APART, "normals change nothing");
+    let apart: f64 =
+        a.rgb.iter().flatten().zip(b.rgb.iter().flatten()).map(|(a, b)| f64::from((a - b).abs())).sum();
+    let apart = apart / a.rgb.iter().flatten().map(|x| f64::from(*x)).sum::<f64>();
+    println!("without normals: {apart:e} apart");
+    assert!(apart > 1000.0 * SMOOTH_APART, "negative control: normals change nothing: {apart}");
 }
 
-/// Of the light in a picture: few paths decide otherwise by a normal that differs in its last bits.
-const SMOOTH_APART: f64 = 1e-3;
+/// Of the light in a picture: normals of instances are rounded to 16 bits before they are placed, those laid out behind it.
+/// The worst measured is 1.6e-7.
+const SMOOTH_APART: f64 = 4e-7;
 
 #[test]
 fn textured_instances_are_those_laid_out_in_every_bit() {
@@ -105,7 +111,8 @@ fn guiding_works_on_instances() {
     let guide = GuideOptions { mode: GuideMode::Adaptive, ..Default::default() };
     let options = RenderOptions { guide, ..small(16, 12, 7) };
     for engine in [ENGINES[0], ENGINES[1], ENGINES[3], ENGINES[4]] {
-        let [a, b] = [Instancing::Shared, Instancing::LaidOut].map(|how| render(&scene, engine, &by(how, &options), 16));
+        let [a, b] = [Instancing::Shared, Instancing::LaidOut]
+            .map(|how| render(&scene, engine, &by(how, &options), 16));
         assert_eq!(differing_pixels(&a.film, &b.film), 0, "{engine:?}");
         assert!(a.stats.guide.is_some());
     }
@@ -128,8 +135,9 @@ fn mirrored_instances_keep_their_outer_sides() {
         let image = render(&glass(mirror), Engine::Cpu, &by(how, &options), 64).image;
         image.rgb.iter().map(|p| f64::from(p[1])).sum::<f64>() / image.rgb.len() as f64
     };
-    let [plain, mirrored, laid_out] = [(1.0, Instancing::Shared), (-1.0, Instancing::Shared), (-1.0, Instancing::LaidOut)]
-        .map(|(mirror, how)| mean(mirror, how));
+    let [plain, mirrored, laid_out] =
+        [(1.0, Instancing::Shared), (-1.0, Instancing::Shared), (-1.0, Instancing::LaidOut)]
+            .map(|(mirror, how)| mean(mirror, how));
     assert_eq!(mirrored, laid_out);
     assert!((mirrored / plain - 1.0).abs() < 0.01, "{mirrored} {plain}");
 }

@@ -11,24 +11,39 @@ use qtracer::scene::compiled::{CompiledScene, NONE, Triangle};
 use qtracer::scene::instance::{Instance, place_corner, place_normal};
 use qtracer::scene::rows::{self, Row};
 use qtracer::scene::shapes::{self, Hit, Ray, T_MISS};
-use qtracer::scene::{bvh, two_levels};
+use qtracer::scene::{MeshData, bvh, two_levels};
 use qtracer::transport::roulette::Roulette;
 use wgpu::BufferUsages;
 
 /// How hard instances are put: sizes, and distances from the origin.
-const PLACES: [([f64; 2], f64); 6] =
-    [([0.5, 2.0], 10.0), ([1e-3, 1e3], 100.0), ([1.0, 1.0], 1e4), ([1.0, 1.0], 1e6), ([1e-3, 1e-2], 1.0), ([1e2, 1e3], 0.1)];
+const PLACES: [([f64; 2], f64); 6] = [
+    ([0.5, 2.0], 10.0),
+    ([1e-3, 1e3], 100.0),
+    ([1.0, 1.0], 1e4),
+    ([1.0, 1.0], 1e6),
+    ([1e-3, 1e-2], 1.0),
+    ([1e2, 1e3], 0.1),
+];
 
 /// Rocks of 80 triangles, spheres, quads, and a mesh that is laid out.
 fn rocks(numbers: &mut Numbers, (sizes, half): ([f64; 2], f64)) -> [CompiledScene; 2] {
-    let places: Vec<_> = (0..24).map(|_| (somewhere(numbers, sizes, half), ["grey", "red"][numbers.below(2)])).collect();
+    let places: Vec<_> =
+        (0..24).map(|_| (somewhere(numbers, sizes, half), ["grey", "red"][numbers.below(2)])).collect();
     let mut builder = under_a_sky([0.0, 0.0, 9.0], [0.0; 3])
         .mesh_in_places(rock(numbers, 1), places)
-        .mesh_in_places(rock(numbers, 0), (0..9).map(|_| (somewhere(numbers, sizes, half), "grey")).collect::<Vec<_>>())
+        .mesh_in_places(
+            rock(numbers, 0),
+            (0..9).map(|_| (somewhere(numbers, sizes, half), "grey")).collect::<Vec<_>>(),
+        )
         .mesh(rock(numbers, 1), "red");
     for _ in 0..4 {
         builder = builder.sphere(numbers.in_box(half), sizes[1], "grey");
-        builder = builder.quad(numbers.in_box(half), numbers.direction() * sizes[1], numbers.direction() * sizes[1], "red");
+        builder = builder.quad(
+            numbers.in_box(half),
+            numbers.direction() * sizes[1],
+            numbers.direction() * sizes[1],
+            "red",
+        );
     }
     both(&builder.build().unwrap())
 }
@@ -45,7 +60,8 @@ fn ray_at(numbers: &mut Numbers, scene: &CompiledScene) -> [Row; 2] {
         0 => direction[numbers.below(3)] = 0.0f64.copysign(numbers.sign()),
         1 => direction = DVec3::AXES[numbers.below(3)] * numbers.sign(),
         2 => {
-            let Instance { x_axis, y_axis, z_axis, .. } = scene.shared.instances[numbers.below(scene.shared.instances.len())];
+            let Instance { x_axis, y_axis, z_axis, .. } =
+                scene.shared.instances[numbers.below(scene.shared.instances.len())];
             direction = [x_axis, y_axis, z_axis][numbers.below(3)].as_dvec3() * numbers.sign();
         }
         _ => {}
@@ -77,7 +93,12 @@ fn by_one(scene: &CompiledScene, question: &[Row; 2]) -> Found {
 }
 
 /// How many of so many rays are answered otherwise by the two walks, and how many hit instances.
-fn differing(seed: u64, place: ([f64; 2], f64), rays: usize, change: impl Fn(&mut CompiledScene)) -> [usize; 2] {
+fn differing(
+    seed: u64,
+    place: ([f64; 2], f64),
+    rays: usize,
+    change: impl Fn(&mut CompiledScene),
+) -> [usize; 2] {
     let mut numbers = Numbers(seed);
     let [mut shared, laid_out] = rocks(&mut numbers, place);
     assert!(shared.shared.instances.len() > 20 && laid_out.shared.instances.is_empty(), "{place:?}");
@@ -237,6 +258,52 @@ fn both_sides_place_corners_and_normals_alike() {
     assert!(back < 0.5, "{back}");
 }
 
+const SURFACE: (&str, &str) = (
+    "import package::scene::shapes::{Hit, Ray, surface_at};",
+    "let ray = Ray(bitcast<vec3<f32>>(a.xyz), bitcast<vec3<f32>>(b.xyz));
+    let surface = surface_at(ray, Hit(bitcast<f32>(a.w), b.w));
+    out0 = vec4<u32>(bitcast<vec3<u32>>(surface.position), bitcast<u32>(surface.offset));
+    out1 = vec4<u32>(bitcast<vec3<u32>>(surface.normal), 0u);
+    out2 = vec4<u32>(bitcast<vec3<u32>>(surface.shading_normal), 0u);",
+);
+
+/// Points, normals and offsets of instances are in every bit those laid out; shading normals differ by the 16 bits that they
+/// are rounded to (4e-5), before the map or behind it: it stretches up to 16-fold here. The kernels say the same.
+#[test]
+fn surfaces_of_instances_are_those_laid_out() {
+    let mut numbers = Numbers(41);
+    let data = rock(&mut numbers, 1);
+    let data = MeshData { normals: data.positions.clone(), ..data };
+    let places: Vec<_> = (0..20).map(|_| (somewhere(&mut numbers, [0.5, 2.0], 9.0), "grey")).collect();
+    let scene = under_a_sky([0.0, 0.0, 9.0], [0.0; 3]).mesh_in_places(data, places).build().unwrap();
+    let [shared, laid_out] = both(&scene);
+    let hit = |_| {
+        let question = ray_at(&mut numbers, &shared);
+        let (ray, ..) = ray_of(&question);
+        let Hit { t, shape } = by_two_levels(&shared, &question).0?;
+        Some([row(ray.origin, t.to_bits()), row(ray.direction, shape)])
+    };
+    let hits: Vec<[Row; 2]> = (0..8192).filter_map(hit).collect();
+    assert!(hits.len() > 4000);
+    let gpu = open_gpu();
+    let answers: Vec<[Row; 3]> = ask(&gpu, SURFACE, &shared, &hits);
+    let (mut bent, mut twins) = (0.0f32, 0.0f32);
+    for ([a, b], [place, normal, shading]) in hits.iter().zip(&answers) {
+        let (ray, hit) =
+            (Ray { origin: floats(*a).0, direction: floats(*b).0 }, Hit { t: floats(*a).1, shape: b[3] });
+        let [one, other] = [&shared, &laid_out].map(|scene| shapes::surface_at(scene, ray, hit));
+        assert_eq!((one.position, one.normal, one.offset), (other.position, other.normal, other.offset));
+        assert!(one.shading_normal.dot(one.normal) > 0.0);
+        bent = bent.max(one.shading_normal.distance(other.shading_normal));
+        let ((position, offset), normal, shading) = (floats(*place), floats(*normal).0, floats(*shading).0);
+        let apart = (position - one.position).abs().max_element() / offset;
+        twins = twins.max(apart.max(normal.distance(one.normal)).max(shading.distance(one.shading_normal)));
+    }
+    println!("shading normals up to {bent:e} apart, twins up to {twins:e}");
+    assert!(bent < 2.5e-4, "{bent}");
+    assert!(twins <= if computes_to_the_letter(&gpu) { 1e-6 } else { 0.25 }, "{twins}");
+}
+
 /// In f64: a normal that is at right angles to a triangle stays so, on the outer side, whatever the map.
 #[test]
 fn placed_normals_are_at_right_angles_to_placed_triangles() {
@@ -244,7 +311,10 @@ fn placed_normals_are_at_right_angles_to_placed_triangles() {
     for _ in 0..200 {
         let map = somewhere(&mut numbers, [0.1, 10.0], 5.0);
         let data = rock(&mut numbers, 0);
-        let scene = under_a_sky([0.0, 0.0, 9.0], [0.0; 3]).mesh_in_places(data.clone(), [(map, "grey")]).build().unwrap();
+        let scene = under_a_sky([0.0, 0.0, 9.0], [0.0; 3])
+            .mesh_in_places(data.clone(), [(map, "grey")])
+            .build()
+            .unwrap();
         let [shared, _] = both(&scene);
         let instance = &shared.shared.instances[0];
         let [a, b, c] = data.triangles[0].map(|i| data.positions[i as usize]);
@@ -254,7 +324,10 @@ fn placed_normals_are_at_right_angles_to_placed_triangles() {
         let found = place_normal(instance, normal.as_vec3(), side.normalize().as_vec3());
         assert!((found.as_dvec3() - side.normalize()).length() < 1e-4, "{map:?}");
         let [one, two, three] = [0].map(|i| shared.triangle(i)).map(|t| [t.a, t.b, t.c])[0];
-        assert!((two - one).cross(three - one).as_dvec3().dot(side) > 0.0, "the outer side is inside: {map:?}");
+        assert!(
+            (two - one).cross(three - one).as_dvec3().dot(side) > 0.0,
+            "the outer side is inside: {map:?}"
+        );
     }
 }
 
@@ -268,14 +341,17 @@ fn hopeless_places_are_laid_out_in_full_precision() {
         // Undoes what the mesh's own coordinates are.
         DAffine3::from_mat3_translation(DMat3::IDENTITY, DVec3::splat(-1e5)),
     ];
-    let moved = MeshData { positions: data.positions.iter().map(|p| p + DVec3::splat(1e5)).collect(), ..data.clone() };
+    let moved = MeshData {
+        positions: data.positions.iter().map(|p| p + DVec3::splat(1e5)).collect(),
+        ..data.clone()
+    };
     for (number, map) in hopeless.into_iter().enumerate() {
         let mesh = if number == 2 { moved.clone() } else { data.clone() };
         let builder = under_a_sky([0.0, 0.0, 9.0], [0.0; 3]);
-        let scene = builder.mesh_in_places(mesh, [(map, "grey"), (DAffine3::from_mat3(turn(&mut Numbers(1))), "grey")]);
+        let scene = builder
+            .mesh_in_places(mesh, [(map, "grey"), (DAffine3::from_mat3(turn(&mut Numbers(1))), "grey")]);
         let scene = scene.build().unwrap();
         assert!(matches!(scene.shapes[0].geometry, qtracer::scene::Geometry::Mesh(_)), "{map:?}");
         assert!(matches!(scene.shapes[1].geometry, qtracer::scene::Geometry::Instance(_)), "{map:?}");
     }
 }
-use qtracer::scene::MeshData;

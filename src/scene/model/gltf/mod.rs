@@ -107,9 +107,7 @@ impl<'a> Surfaces<'a> {
     fn count(&mut self, triangles: usize) -> Result<(), String> {
         self.triangles = self.triangles.saturating_add(triangles);
         match self.triangles > MOST_TRIANGLES {
-            true => Err(format!(
-                "has more than {MOST_TRIANGLES} triangles; reduce it"
-            )),
+            true => Err(format!("has more than {MOST_TRIANGLES} triangles; reduce it")),
             false => Ok(()),
         }
     }
