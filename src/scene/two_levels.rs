@@ -104,32 +104,32 @@ impl Waiting {
 
 /// The nearest shape that the ray meets, of equally near ones the first.
 pub fn intersect(scene: &CompiledScene, bvh: &Bvh, ray: Ray) -> Option<Hit> {
-    let (walker, world) = (walker(ray), world_frame(ray));
+    let walker = walker(ray);
+    let mut frame = world_frame(ray);
     let mut hit = Hit { t: T_MISS, shape: u32::MAX };
     let mut waiting = Waiting::none();
-    // The mesh that the walk is in, the ray there, and how much was waiting when it came in.
-    let (mut within, mut inner, mut floor): (Option<&Instance>, BoxFrame, usize) =
-        (None, world_frame(ray), 0);
+    // The instance that the walk is in, its first shape, and how much was waiting when it came in.
+    let (mut within, mut first_shape, mut floor) = (None, 0, 0);
     let mut at = 0;
     loop {
         if within.is_none() && at & (LEAF | INSTANCE) == LEAF | INSTANCE {
             let instance = &scene.shared.instances[(at & !(LEAF | INSTANCE)) as usize];
-            (within, inner, floor) = (Some(instance), mesh_frame(instance, ray), waiting.count);
+            frame = mesh_frame(instance, ray);
+            (within, first_shape, floor) = (Some(instance), instance.first_shape, waiting.count);
             at = instance.first_node;
             continue;
         }
         if at & LEAF != 0 {
-            let number = at & !LEAF;
-            let (t, shape) = match within {
-                None => (shape_distance(scene, &walker, number), number),
-                Some(i) => (instanced_distance(scene, &walker, i, number), i.first_shape + number),
+            let shape = first_shape + (at & !LEAF);
+            let t = match within {
+                None => shape_distance(scene, &walker, shape),
+                Some(instance) => instanced_distance(scene, &walker, instance, at & !LEAF),
             };
             if t < hit.t || (t == hit.t && shape < hit.shape && t < T_MISS) {
                 hit = Hit { t, shape };
             }
         } else {
-            let frame = if within.is_some() { &inner } else { &world };
-            let met = children_met(bvh, at, frame, hit.t);
+            let met = children_met(bvh, at, &frame, hit.t);
             if met.any {
                 at = met.nearer;
                 if met.both {
@@ -138,8 +138,9 @@ pub fn intersect(scene: &CompiledScene, bvh: &Bvh, ray: Ray) -> Option<Hit> {
                 continue;
             }
         }
-        if waiting.count == floor {
-            (within, floor) = (None, 0);
+        if within.is_some() && waiting.count == floor {
+            (within, first_shape) = (None, 0);
+            frame = world_frame(ray);
         }
         match waiting.pop() {
             Some(node) => at = node,
@@ -150,30 +151,30 @@ pub fn intersect(scene: &CompiledScene, bvh: &Bvh, ray: Ray) -> Option<Hit> {
 
 /// Whether anything but `excluded` (the light aimed at) lies nearer than `t_max`.
 pub fn occluded(scene: &CompiledScene, bvh: &Bvh, ray: Ray, t_max: f32, excluded: u32) -> bool {
-    let (walker, world) = (walker(ray), world_frame(ray));
+    let walker = walker(ray);
+    let mut frame = world_frame(ray);
     let mut waiting = Waiting::none();
-    let (mut within, mut inner, mut floor): (Option<&Instance>, BoxFrame, usize) =
-        (None, world_frame(ray), 0);
+    let (mut within, mut first_shape, mut floor) = (None, 0, 0);
     let mut at = 0;
     loop {
         if within.is_none() && at & (LEAF | INSTANCE) == LEAF | INSTANCE {
             let instance = &scene.shared.instances[(at & !(LEAF | INSTANCE)) as usize];
-            (within, inner, floor) = (Some(instance), mesh_frame(instance, ray), waiting.count);
+            frame = mesh_frame(instance, ray);
+            (within, first_shape, floor) = (Some(instance), instance.first_shape, waiting.count);
             at = instance.first_node;
             continue;
         }
         if at & LEAF != 0 {
-            let number = at & !LEAF;
-            let (t, shape) = match within {
-                None => (shape_distance(scene, &walker, number), number),
-                Some(i) => (instanced_distance(scene, &walker, i, number), i.first_shape + number),
+            let shape = first_shape + (at & !LEAF);
+            let t = match within {
+                None => shape_distance(scene, &walker, shape),
+                Some(instance) => instanced_distance(scene, &walker, instance, at & !LEAF),
             };
             if shape != excluded && t < t_max {
                 return true;
             }
         } else {
-            let frame = if within.is_some() { &inner } else { &world };
-            let met = children_met(bvh, at, frame, t_max);
+            let met = children_met(bvh, at, &frame, t_max);
             if met.any {
                 at = met.nearer;
                 if met.both {
@@ -182,8 +183,9 @@ pub fn occluded(scene: &CompiledScene, bvh: &Bvh, ray: Ray, t_max: f32, excluded
                 continue;
             }
         }
-        if waiting.count == floor {
-            (within, floor) = (None, 0);
+        if within.is_some() && waiting.count == floor {
+            (within, first_shape) = (None, 0);
+            frame = world_frame(ray);
         }
         match waiting.pop() {
             Some(node) => at = node,

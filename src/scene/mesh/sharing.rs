@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3, Vec3};
+use rayon::prelude::*;
 
 use super::{LARGEST, Mesh, MeshData, has_area};
 use crate::scene::instance::{Instance, place_corner};
@@ -15,6 +16,15 @@ const MOST_CANCELLED: f32 = 4.0;
 const SMALLEST: f64 = 1e-3;
 /// What rounding moves corners by, at most, as a share of the instance's reach: eight half units in the last place.
 const MOVED: f64 = 8.0 / 16_777_216.0;
+
+/// Corners or triangles that a thread takes at once.
+const CHUNK: usize = 1 << 13;
+/// The box around nothing.
+const NOTHING: [Vec3; 2] = [Vec3::INFINITY, Vec3::NEG_INFINITY];
+
+fn joined([low, high]: [Vec3; 2], [a, b]: [Vec3; 2]) -> [Vec3; 2] {
+    [low.min(a), high.max(b)]
+}
 
 /// A mesh at one of the places where it stands. It shares its triangles with the others; in the world they are where its
 /// matrix brings them in f32.
@@ -80,15 +90,19 @@ impl Sharing {
     /// The mesh under that map; nothing where it had better be placed in f64, or where a triangle would lose its area.
     pub fn at(&self, map: &DAffine3) -> Option<MeshInstance> {
         let place = Instance::new(map, self.farthest)?;
-        let [mut low, mut high] = [Vec3::INFINITY, Vec3::NEG_INFINITY];
-        for &corner in &self.corners {
-            let placed = place_corner(&place, corner);
-            (low, high) = (low.min(placed), high.max(placed));
-        }
+        let placed = |corner: Vec3| place_corner(&place, corner);
+        let [low, high] = self
+            .corners
+            .par_chunks(CHUNK)
+            .map(|corners| {
+                corners.iter().map(|&p| placed(p)).fold(NOTHING, |around, p| joined(around, [p; 2]))
+            })
+            .reduce(|| NOTHING, joined);
         let largest = low.abs().max(high.abs()).max_element();
         let fits = f64::from(largest) <= LARGEST && place.reach <= MOST_CANCELLED * largest;
-        let placed = |corners: [Vec3; 3]| corners.map(|corner| place_corner(&place, corner));
-        let whole = || self.surely_keeps_areas(&place) || self.mesh.triangles().all(|t| has_area(placed(t)));
+        let has_area = |corners: &[u32; 3]| has_area(self.mesh.corners(corners).map(placed));
+        let all_have = || self.mesh.triangles.par_chunks(CHUNK).all(|chunk| chunk.iter().all(has_area));
+        let whole = || self.surely_keeps_areas(&place) || all_have();
         (fits && whole()).then(|| MeshInstance { mesh: self.mesh.clone(), place, bounds: [low, high] })
     }
 
