@@ -4,7 +4,7 @@ use super::RenderError;
 use crate::gpu::stage::Schedule;
 use crate::guiding::{GuideMode, GuideOptions, GuideProblem, Learner};
 use crate::random::Sampler;
-use crate::scene::{Instancing, Scene, check_image_size};
+use crate::scene::{Instancing, MOST_LAID_OUT, Scene, check_image_size};
 use crate::transport::estimators::Estimators;
 use crate::transport::roulette::Roulette;
 use crate::transport::split::MAX_SPLIT;
@@ -39,9 +39,6 @@ impl fmt::Display for EngineKind {
         })
     }
 }
-
-/// Triangles that can be numbered beside instances.
-const MOST_LAID_OUT: u64 = 1 << 30;
 
 /// Scale of learnt roulette that suits most scenes.
 const LEARNT_SCALE: f32 = 2.5;

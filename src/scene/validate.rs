@@ -5,7 +5,6 @@ use std::collections::HashSet;
 use glam::DVec3;
 
 use super::error::{Fault, quoted};
-use super::mesh::MOST_TRIANGLES;
 use super::texture::{check_size, check_sum};
 use super::{
     Camera, Defaults, EnvironmentMap, Geometry, Material, MaterialKind, Mesh, Placement, Scene, SceneError,
@@ -30,6 +29,8 @@ const BRIGHTEST: f64 = 1e15;
 const MOST_BOUNCES: u32 = 64;
 const LARGEST_EXPONENT: f64 = 1e6;
 const LARGEST_IOR: f64 = 10.0;
+/// Shapes that can be numbered beside instances, with room for instances that are laid out since they are few.
+pub(crate) const MOST_LAID_OUT: u64 = (1 << 30) - (1 << 20);
 /// Triangles that can be told apart when each instance is counted: numbers of shapes, with room for other shapes.
 pub(super) const MOST_SEEN: u64 = u32::MAX as u64 - (1 << 24);
 
@@ -248,20 +249,17 @@ fn with_coordinates(mesh: &Mesh, label: &str) -> Check {
     })
 }
 
-/// Whether there are numbers for all triangles.
+/// Whether there are numbers for all triangles, and for all that is laid out.
 fn triangles(scene: &Scene) -> Check {
-    let seen = scene.triangle_count();
-    let laid_out: u64 = scene
-        .shapes
-        .iter()
-        .map(|shape| match &shape.geometry {
-            Geometry::Mesh(mesh) => mesh.len() as u64,
-            _ => 0,
-        })
-        .sum();
-    ensure(laid_out <= MOST_TRIANGLES as u64, || {
-        format!("has {laid_out} triangles; stay within {MOST_TRIANGLES}")
+    let numbers = |shape: &Shape| match &shape.geometry {
+        Geometry::Mesh(mesh) => mesh.len() as u64,
+        _ => 1,
+    };
+    let laid_out: u64 = scene.shapes.iter().map(numbers).sum();
+    ensure(laid_out <= MOST_LAID_OUT, || {
+        format!("has {laid_out} shapes, each triangle counted; stay within {MOST_LAID_OUT}")
     })?;
+    let seen = scene.triangle_count();
     ensure(seen <= MOST_SEEN, || {
         format!("has {seen} triangles, each instance counted; stay within {MOST_SEEN}, with fewer instances")
     })

@@ -24,7 +24,7 @@ const LARGEST: f64 = 1e9;
 /// Texture coordinates beyond which f32 tells few texels apart.
 const FARTHEST_UV: f32 = 1e6;
 /// Triangles that a scene can number.
-pub(super) const MOST_TRIANGLES: usize = 1 << 30;
+const MOST_TRIANGLES: usize = 1 << 30;
 
 /// Corners and triangles as someone gave them; nothing is checked before a scene takes them in.
 #[derive(Clone, Debug, Default, PartialEq)]
