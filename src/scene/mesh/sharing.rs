@@ -60,8 +60,8 @@ pub(in crate::scene) struct Sharing {
     corners: Vec<Vec3>,
     /// Largest coordinates.
     farthest: DVec3,
-    /// Least distance of a corner from the opposite edge.
-    least_height: f64,
+    /// Of each triangle its least distance of a corner from the opposite edge, and its number; the flattest first.
+    heights: Vec<(f32, u32)>,
     /// Least double area.
     least_area: f64,
 }
@@ -75,15 +75,16 @@ impl Sharing {
         let corners: Vec<Vec3> =
             mesh.positions.iter().zip(used).filter(|(_, used)| *used).map(|(p, _)| *p).collect();
         let farthest = corners.iter().fold(Vec3::ZERO, |most, p| most.max(p.abs())).as_dvec3();
-        let (mut least_height, mut least_area) = (f64::MAX, f64::MAX);
-        for [a, b, c] in mesh.triangles() {
-            let area = f64::from(double_area(a, b, c).length());
+        let (mut heights, mut least_area) = (Vec::with_capacity(mesh.len()), f64::MAX);
+        for (number, [a, b, c]) in mesh.triangles().enumerate() {
+            let area = double_area(a, b, c).length();
             let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
-            least_height = least_height.min(area / f64::from(longest));
-            least_area = least_area.min(area);
+            heights.push((area / longest, number as u32));
+            least_area = least_area.min(f64::from(area));
         }
+        heights.par_sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
         let mesh = Arc::new(mesh);
-        let sharing = Sharing { mesh, corners, farthest, least_height, least_area };
+        let sharing = Sharing { mesh, corners, farthest, heights, least_area };
         (sharing.farthest.max_element() >= SMALLEST).then_some(sharing)
     }
 
@@ -100,16 +101,21 @@ impl Sharing {
             .reduce(|| NOTHING, joined);
         let largest = low.abs().max(high.abs()).max_element();
         let fits = f64::from(largest) <= LARGEST && place.reach <= MOST_CANCELLED * largest;
-        let has_area = |corners: &[u32; 3]| has_area(self.mesh.corners(corners).map(placed));
-        let all_have = || self.mesh.triangles.par_chunks(CHUNK).all(|chunk| chunk.iter().all(has_area));
-        let whole = || self.surely_keeps_areas(&place) || all_have();
+        let has_area = |&(_, number): &(f32, u32)| {
+            has_area(self.mesh.corners(&self.mesh.triangles[number as usize]).map(placed))
+        };
+        let whole = || self.doubtful(&place).par_chunks(CHUNK).all(|chunk| chunk.iter().all(has_area));
         (fits && whole()).then(|| MeshInstance { mesh: self.mesh.clone(), place, bounds: [low, high] })
     }
 
-    /// Whether no triangle can lose its area, without asking each.
-    fn surely_keeps_areas(&self, place: &Instance) -> bool {
+    /// The triangles that may lose their area there. Places shrink heights by the square of the least factor over the largest at
+    /// most, and rounding moves corners by less than what is left of the others.
+    fn doubtful(&self, place: &Instance) -> &[(f32, u32)] {
         let (least, most) = place.sizes();
-        let height = self.least_height * least * least / most;
-        height > 8.0 * MOVED * f64::from(place.reach) && self.least_area * least * least > 1e-17
+        if self.least_area * least * least <= 1e-17 {
+            return &self.heights;
+        }
+        let needed = 8.0 * MOVED * f64::from(place.reach) * most / (least * least);
+        &self.heights[..self.heights.partition_point(|&(height, _)| f64::from(height) <= needed)]
     }
 }

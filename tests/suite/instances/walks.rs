@@ -355,3 +355,25 @@ fn hopeless_places_are_laid_out_in_full_precision() {
         assert!(matches!(scene.shapes[1].geometry, qtracer::scene::Geometry::Instance(_)), "{map:?}");
     }
 }
+
+/// A sliver that f32 can't tell from a line where it stands: that instance is laid out, and the sliver left out with a warning;
+/// others are shared, where it is thin but there.
+#[test]
+fn an_instance_that_would_lose_a_triangle_is_laid_out() {
+    let mut data = rock(&mut Numbers(6), 1);
+    let first = data.positions.len() as u32;
+    data.positions.extend([DVec3::ZERO, DVec3::X, DVec3::new(0.5, 1e-6, 0.0)]);
+    data.triangles.push([first, first + 1, first + 2]);
+    let at = |y: f64| (DAffine3::from_translation(DVec3::Y * y), "grey");
+    let scene = under_a_sky([0.0, 0.0, 9.0], [0.0; 3]).mesh_in_places(data, [at(0.0), at(1000.0)]);
+    let scene = scene.build().unwrap();
+    let [near, far] = [0, 1].map(|shape| &scene.shapes[shape].geometry);
+    assert!(matches!(near, qtracer::scene::Geometry::Instance(_)));
+    assert!(
+        matches!(far, qtracer::scene::Geometry::Mesh(mesh) if mesh.len() == 80),
+        "{}",
+        far.mesh().unwrap().len()
+    );
+    let warnings: Vec<String> = scene.warnings().iter().map(|warning| warning.to_string()).collect();
+    assert!(warnings.len() == 1 && warnings[0].contains("1 triangle without area"), "{warnings:?}");
+}
