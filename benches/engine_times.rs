@@ -5,6 +5,7 @@
 
 use clap::Parser;
 use qtracer::gpu::stage::Schedule;
+use qtracer::scene::Instancing;
 use qtracer::transport::roulette::Roulette;
 use qtracer::{EngineChoice, RenderOptions, Renderer, Sampler, Scene};
 use serde_json::json;
@@ -28,6 +29,9 @@ struct Arguments {
     /// Whether a tree chooses among many lights.
     #[arg(long, num_args = 1)]
     light_tree: Option<bool>,
+    /// Whether instances share their mesh: auto, shared, laid-out.
+    #[arg(long, default_value = "auto")]
+    instances: String,
     #[arg(long, num_args = 1)]
     roulette: Option<bool>,
     /// Low-discrepancy samples instead of independent ones.
@@ -104,6 +108,12 @@ fn run(arguments: &Arguments, path: &str, engine: &str) -> Result<(), Box<dyn st
         size: arguments.size.as_ref().map(|s| (s[0], s[1])),
         direct_light: arguments.direct_light,
         light_tree: arguments.light_tree,
+        instances: match arguments.instances.as_str() {
+            "auto" => Instancing::Auto,
+            "shared" => Instancing::Shared,
+            "laid-out" => Instancing::LaidOut,
+            other => return Err(format!("instances are auto, shared or laid-out, not {other}").into()),
+        },
         roulette: arguments.roulette.map(|on| if on { Roulette::Throughput } else { Roulette::Off }),
         max_bounces: arguments.max_bounces,
         sampler: if arguments.stratified { Sampler::Stratified } else { Sampler::Independent },
@@ -131,7 +141,7 @@ fn run(arguments: &Arguments, path: &str, engine: &str) -> Result<(), Box<dyn st
         let mut file = std::fs::OpenOptions::new().create(true).append(true).open(file)?;
         let line = json!({
             "scene": scene.name, "engine": engine, "spp": arguments.spp, "max_bounces": arguments.max_bounces,
-            "direct_light": arguments.direct_light, "light_tree": arguments.light_tree, "roulette": arguments.roulette, "stratified": arguments.stratified,
+            "direct_light": arguments.direct_light, "light_tree": arguments.light_tree, "instances": arguments.instances, "roulette": arguments.roulette, "stratified": arguments.stratified,
             "pool": arguments.pool, "size": arguments.size, "gpu_ms": row.gpu_ms, "wall_ms": row.wall_ms,
             "paths": row.paths, "stats": row.stats,
         });

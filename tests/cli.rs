@@ -341,6 +341,33 @@ fn a_mesh_beside_the_scene_is_rendered_and_what_it_lost_is_one_line() {
     }
 }
 
+/// Two places of 16,562 triangles: little memory, so that nothing is shared unless asked for.
+#[test]
+fn instances_are_shared_where_that_is_asked_for_and_told_of() {
+    let place = Place::new();
+    let mut grid = String::new();
+    (0..92 * 92)
+        .for_each(|i| grid += &format!("v {} 0 {}\n", 0.01 * f64::from(i % 92), 0.01 * f64::from(i / 92)));
+    for i in (0..91 * 92).filter(|i| i % 92 < 91) {
+        let [a, b, c, d] = [1, 93, 94, 2].map(|corner| corner + i);
+        grid += &format!("f {a} {b} {c}\nf {a} {c} {d}\n");
+    }
+    place.write("grid.obj", grid);
+    let mesh = "type = \"mesh\"\nfile = \"grid.obj\"\nmaterial = \"clay\"\n[[shapes]]\n\
+        type = \"mesh\"\nfile = \"grid.obj\"\nscale = 0.5";
+    place.variant("grid.toml", SPHERE, mesh);
+    let told = place.succeed(&["check", "grid.toml"]).stdout;
+    assert!(told.contains("2 meshes of 33124 triangles") && !told.contains("instances"), "{told}");
+    let render =
+        ["render", "grid.toml", "--engine", "cpu", "-q", "--stats", "text", "-o", "a.exr", "--instances"];
+    let stats = |how| place.succeed(&[&render[..], &[how]].concat()).stdout;
+    let shared = stats("shared");
+    let rows = ["instances.instances", "instances.stored_triangles", "instances.laid_out_bytes"];
+    assert!(rows.iter().all(|row| shared.contains(row)) && shared.contains("33124"), "{shared}");
+    assert!(["auto", "laid-out"].iter().all(|how| !stats(how).contains("instances.")));
+    place.refuses(&[&render[..], &["some"]].concat(), &["--instances", "some", "laid-out"]);
+}
+
 #[test]
 fn meshes_that_cannot_be_used_are_refused_with_the_file_and_the_remedy() {
     let place = Place::new();

@@ -3,7 +3,7 @@
 use std::panic;
 
 use qtracer::scene::compiled::CompiledScene;
-use qtracer::scene::{Geometry, Material, MeshData};
+use qtracer::scene::{Material, MeshData};
 use qtracer::{RenderOptions, Renderer, Scene};
 
 /// Larger scenes are only compiled.
@@ -34,10 +34,7 @@ pub fn use_scene(scene: &Scene) {
     for warning in scene.warnings() {
         assert!(!warning.to_string().is_empty());
     }
-    let shapes = |shape: &qtracer::scene::Shape| match &shape.geometry {
-        Geometry::Mesh(mesh) => mesh.len(),
-        _ => 1,
-    };
+    let shapes = |shape: &qtracer::scene::Shape| shape.geometry.mesh().map_or(1, |mesh| mesh.len());
     let small = scene.shapes.iter().map(shapes).sum::<usize>() <= MOST_RENDERED;
     match small {
         true => render(scene, RenderOptions::cpu()),

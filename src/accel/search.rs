@@ -4,6 +4,7 @@ use super::{RayLanes, ShadowEnds, ShapeLanes};
 use crate::scene::bvh::{self, Bvh};
 use crate::scene::compiled::CompiledScene;
 use crate::scene::shapes::{Hit, Ray};
+use crate::scene::two_levels;
 
 /// Finds shapes of a scene. Cheap to make: what it copies are the shapes of small scenes.
 #[derive(Clone, Debug)]
@@ -12,12 +13,15 @@ pub enum Search<'a> {
     All(ShapeLanes),
     /// The walk that the GPU takes, one ray at a time.
     Hierarchy(&'a CompiledScene, &'a Bvh),
+    /// The same where meshes are shared.
+    TwoLevels(&'a CompiledScene, &'a Bvh),
 }
 
 impl<'a> Search<'a> {
     pub fn new(scene: &'a CompiledScene) -> Search<'a> {
         match &scene.bvh {
-            Some(bvh) => Search::Hierarchy(scene, bvh),
+            Some(bvh) if scene.shared.instances.is_empty() => Search::Hierarchy(scene, bvh),
+            Some(bvh) => Search::TwoLevels(scene, bvh),
             None => Search::All(ShapeLanes::new(scene)),
         }
     }
@@ -28,6 +32,7 @@ impl<'a> Search<'a> {
         match self {
             Search::All(lanes) => lanes.intersect(ray),
             Search::Hierarchy(scene, bvh) => bvh::intersect(scene, bvh, ray),
+            Search::TwoLevels(scene, bvh) => two_levels::intersect(scene, bvh, ray),
         }
     }
 
@@ -37,6 +42,7 @@ impl<'a> Search<'a> {
         match self {
             Search::All(lanes) => lanes.occluded(ray, t_max, excluded),
             Search::Hierarchy(scene, bvh) => bvh::occluded(scene, bvh, ray, t_max, excluded),
+            Search::TwoLevels(scene, bvh) => two_levels::occluded(scene, bvh, ray, t_max, excluded),
         }
     }
 
@@ -45,10 +51,7 @@ impl<'a> Search<'a> {
     pub fn intersect_eight(&self, rays: &RayLanes, count: usize) -> [Option<Hit>; RayLanes::COUNT] {
         match self {
             Search::All(lanes) => lanes.intersect_eight(rays),
-            Search::Hierarchy(scene, bvh) => {
-                let hit = |i| if i < count { bvh::intersect(scene, bvh, rays.get(i)) } else { None };
-                std::array::from_fn(hit)
-            }
+            _ => std::array::from_fn(|i| if i < count { self.intersect(rays.get(i)) } else { None }),
         }
     }
 
@@ -57,9 +60,9 @@ impl<'a> Search<'a> {
     pub fn occluded_eight(&self, rays: &RayLanes, ends: &ShadowEnds, count: usize) -> u32 {
         match self {
             Search::All(lanes) => lanes.occluded_eight(rays, ends),
-            Search::Hierarchy(scene, bvh) => (0..count).fold(0, |blocked, i| {
+            _ => (0..count).fold(0, |blocked, i| {
                 let (t_max, excluded) = ends.get(i);
-                blocked | u32::from(bvh::occluded(scene, bvh, rays.get(i), t_max, excluded)) << i
+                blocked | u32::from(self.occluded(rays.get(i), t_max, excluded)) << i
             }),
         }
     }

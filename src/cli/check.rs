@@ -3,11 +3,11 @@
 use super::console;
 use super::failure::Failure;
 use clap::Args;
-use qtracer::engine::SurfaceStats;
+use qtracer::engine::{InstanceStats, SurfaceStats};
 use qtracer::gpu::key::{KIND_NAMES, KernelKey};
+use qtracer::scene::MaterialKind;
 use qtracer::scene::compiled::CompiledScene;
 use qtracer::scene::environment::Sky;
-use qtracer::scene::{Geometry, MaterialKind};
 use qtracer::{RenderOptions, Scene};
 use std::path::{Path, PathBuf};
 
@@ -74,6 +74,7 @@ fn describe(path: &Path, scene: &Scene) -> String {
     ];
     lines.extend(compiled.sky.as_ref().map(|sky| environment_map(sky, &compiled)));
     lines.push(format!("  kernels    {key}"));
+    lines.extend(InstanceStats::new(&compiled).map(|stats| instances(&stats)));
     lines.extend(SurfaceStats::new(&compiled).map(|stats| surfaces(&stats)));
     lines.join("\n")
 }
@@ -88,6 +89,18 @@ fn surfaces(stats: &SurfaceStats) -> String {
         kib(uv_bytes),
         if textures == 1 { "texture" } else { "textures" },
         kib(texture_bytes)
+    )
+}
+
+/// `  instances  1000 of 1 mesh: 100000 triangles seen as 100000000, in 11.1 MiB, not 10681.2 MiB`.
+fn instances(stats: &InstanceStats) -> String {
+    let InstanceStats { instances, meshes, stored_triangles, seen_triangles, bytes, laid_out_bytes } = *stats;
+    let mib = |bytes: u64| bytes as f64 / f64::powi(2.0, 20);
+    format!(
+        "  instances  {instances} of {meshes} {}: {stored_triangles} triangles seen as {seen_triangles}, in {:.1} MiB, not {:.1} MiB",
+        if meshes == 1 { "mesh" } else { "meshes" },
+        mib(bytes),
+        mib(laid_out_bytes)
     )
 }
 
@@ -110,8 +123,8 @@ fn shapes(scene: &Scene, compiled: &CompiledScene) -> String {
         counted(compiled.quads.len(), "quad", "quads"),
     ]
     .join(", ");
-    let triangles = counted(compiled.triangles.len(), "triangle", "triangles");
-    match scene.shapes.iter().filter(|shape| matches!(shape.geometry, Geometry::Mesh(_))).count() {
+    let triangles = counted(compiled.triangle_count(), "triangle", "triangles");
+    match scene.shapes.iter().filter(|shape| shape.geometry.mesh().is_some()).count() {
         0 => plain,
         meshes => format!("{plain}, {} of {triangles}", counted(meshes, "mesh", "meshes")),
     }

@@ -12,7 +12,7 @@ use std::path::Path;
 
 /// Writes one file per stage of the engine asked for (the wavefront engine's where that has none); says what it wrote.
 pub fn dump(folder: &Path, scene: &Scene, options: &RenderOptions) -> Result<String, Failure> {
-    let compiled = CompiledScene::new(scene);
+    let compiled = CompiledScene::with_instances(scene, options.instances);
     let key = KernelKey::new(&compiled, &options.estimators(scene));
     let schedule = preferred_schedule(&key, options);
     let megakernel = options.engine == EngineChoice::Auto

@@ -11,7 +11,6 @@ use super::stop::{Goal, State};
 use super::waiting;
 use qtracer::engine::GuideView;
 use qtracer::film::{WriteOptions, write_image};
-use qtracer::scene::{Geometry, Shape};
 use qtracer::{EngineKind, Image, RenderError, RenderStats, Renderer, Scene};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -47,11 +46,7 @@ fn limit_threads(threads: Option<usize>) -> Result<(), Failure> {
 
 /// What happens before the first sample; what it costs is mostly the hierarchy over the triangles.
 fn preparing(scene: &Scene) -> String {
-    let triangles = |shape: &Shape| match &shape.geometry {
-        Geometry::Mesh(mesh) => mesh.len(),
-        _ => 0,
-    };
-    match scene.shapes.iter().map(triangles).sum() {
+    match scene.triangle_count() {
         0 => "preparing the scene".to_owned(),
         1 => "putting 1 triangle in order".to_owned(),
         count => format!("putting {count} triangles in order"),

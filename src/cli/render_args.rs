@@ -9,6 +9,7 @@ use super::waiting;
 use clap::{Args, ValueEnum};
 use qtracer::film::check_writable;
 use qtracer::gpu::stage::Schedule;
+use qtracer::scene::Instancing;
 use qtracer::transport::roulette::Roulette;
 use qtracer::{EngineChoice, RenderOptions, Sampler, Scene};
 use std::path::{Path, PathBuf};
@@ -128,6 +129,11 @@ struct EngineArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), allow_negative_numbers = true)]
     threads: Option<u16>,
 
+    /// Store meshes that stand in many places once (shared), or give each instance triangles of its own (laid-out), which
+    /// takes more memory and less time; auto shares where that spares more than 32 MiB
+    #[arg(long, value_enum, default_value_t = InstancesArg::Auto)]
+    instances: InstancesArg,
+
     /// How the wavefront engine runs a level [default: what measured fastest: streamed for meshes of three kinds of
     /// materials or more, unless something is learnt or --grain is given; else fused]
     #[arg(long, value_enum)]
@@ -196,6 +202,13 @@ pub enum StatsFormat {
 enum SamplerArg {
     Stratified,
     Independent,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum InstancesArg {
+    Auto,
+    Shared,
+    LaidOut,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -373,6 +386,11 @@ fn render_options(
         }),
         pool: engine.pool,
         grain: engine.grain,
+        instances: match engine.instances {
+            InstancesArg::Auto => Instancing::Auto,
+            InstancesArg::Shared => Instancing::Shared,
+            InstancesArg::LaidOut => Instancing::LaidOut,
+        },
     }
 }
 

@@ -26,7 +26,9 @@ pub use error::RenderError;
 pub use options::{EngineChoice, EngineKind, RenderOptions};
 pub use renderer::Renderer;
 pub use show::GuideView;
-pub use stats::{EnvironmentStats, GuideStats, HierarchyStats, LightTreeStats, RenderStats, SurfaceStats};
+pub use stats::{
+    EnvironmentStats, GuideStats, HierarchyStats, InstanceStats, LightTreeStats, RenderStats, SurfaceStats,
+};
 pub use strategy::{Pass, Strategy};
 #[doc(hidden)]
 pub use wavefront::recorded::{RecordedLevel, RecordedStage};

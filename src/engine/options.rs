@@ -4,7 +4,7 @@ use super::RenderError;
 use crate::gpu::stage::Schedule;
 use crate::guiding::{GuideMode, GuideOptions, GuideProblem, Learner};
 use crate::random::Sampler;
-use crate::scene::{Scene, check_image_size};
+use crate::scene::{Instancing, MOST_LAID_OUT, Scene, check_image_size};
 use crate::transport::estimators::Estimators;
 use crate::transport::roulette::Roulette;
 use crate::transport::split::MAX_SPLIT;
@@ -56,6 +56,8 @@ pub struct RenderOptions {
     pub direct_light: Option<bool>,
     /// Whether scenes of many lights choose among them by a tree, as is usual, or by power alone.
     pub light_tree: Option<bool>,
+    /// Whether instances of a mesh share its triangles; by memory, unless said.
+    pub instances: Instancing,
     /// Russian roulette: off, by throughput from the fourth surface on, or by what was learnt.
     pub roulette: Option<Roulette>,
     /// Survival in roulette is this times what it would be, up to certainty: larger is slower and less noisy. 1 by
@@ -169,6 +171,16 @@ impl RenderOptions {
                 remedy: format!(
                     "guide {} does not learn how much light there is; choose roulette throughput, or guide adaptive",
                     self.guide.mode
+                ),
+            });
+        }
+        if self.instances == Instancing::LaidOut && scene.triangle_count() > MOST_LAID_OUT {
+            return Err(RenderError::Option {
+                option: "instances",
+                value: "laid-out".to_string(),
+                remedy: format!(
+                    "that would be {} triangles, of which {MOST_LAID_OUT} have numbers; choose shared",
+                    scene.triangle_count()
                 ),
             });
         }

@@ -40,7 +40,7 @@ impl RecordedLevel {
     /// Whatever learns starts from the table in the options, without one from an empty one.
     pub fn record(scene: &Scene, options: &RenderOptions, level: u32) -> Result<RecordedLevel, RenderError> {
         options.validate(scene)?;
-        let compiled = CompiledScene::new(scene);
+        let compiled = CompiledScene::with_instances(scene, options.instances);
         let (width, height) = options.size.unwrap_or((scene.camera.width, scene.camera.height));
         let estimators = options.estimators(scene);
         let uniforms = Uniforms {

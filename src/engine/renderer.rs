@@ -11,7 +11,7 @@ use super::strategy::plain_strategy;
 use super::wavefront::WavefrontEngine;
 use super::{
     CancelToken, Engine, EngineChoice, EngineKind, EnvironmentStats, Estimators, GuideStats, HierarchyStats,
-    LightTreeStats, RenderError, RenderOptions, RenderStats, SurfaceStats,
+    InstanceStats, LightTreeStats, RenderError, RenderOptions, RenderStats, SurfaceStats,
 };
 use crate::film::{Film, GuideLayers, Image};
 use crate::gpu::device::Gpu;
@@ -41,7 +41,7 @@ impl Renderer {
     /// Prepares the scene for the engine that the options ask for, or the best there is.
     pub fn new(scene: &Scene, options: RenderOptions) -> Result<Renderer, RenderError> {
         options.validate(scene)?;
-        let mut compiled = CompiledScene::new(scene);
+        let mut compiled = CompiledScene::with_instances(scene, options.instances);
         if options.light_tree == Some(false) {
             compiled.light_tree = None;
         }
@@ -177,6 +177,7 @@ impl Renderer {
         RenderStats {
             guide: self.learner().map(GuideStats::new),
             hierarchy: HierarchyStats::new(&self.compiled),
+            instances: InstanceStats::new(&self.compiled),
             surfaces: SurfaceStats::new(&self.compiled),
             environment_map: EnvironmentStats::new(&self.compiled),
             light_tree: LightTreeStats::new(&self.compiled),

@@ -3,6 +3,7 @@
 use crate::guiding::Learner;
 use crate::scene::bvh::NODE_ROWS;
 use crate::scene::compiled::CompiledScene;
+use crate::scene::sharing::shared_bytes;
 use std::collections::BTreeMap;
 
 /// Figures for `--stats` and for tests.
@@ -29,6 +30,9 @@ pub struct RenderStats {
     /// The hierarchy over the shapes; absent where rays ask all of them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub hierarchy: Option<HierarchyStats>,
+    /// Meshes that are stored once for many instances; absent where none is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub instances: Option<InstanceStats>,
     /// Normals, texture coordinates and textures; absent where nothing has any.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub surfaces: Option<SurfaceStats>,
@@ -74,7 +78,7 @@ impl EnvironmentStats {
 pub struct HierarchyStats {
     /// Shapes in it.
     pub shapes: usize,
-    /// Of these, triangles of meshes.
+    /// Of these, triangles of meshes, those of each instance counted.
     pub triangles: usize,
     /// Nodes, of two boxes each.
     pub nodes: usize,
@@ -90,11 +94,42 @@ impl HierarchyStats {
     pub(super) fn new(scene: &CompiledScene) -> Option<HierarchyStats> {
         scene.bvh.as_ref().map(|bvh| HierarchyStats {
             shapes: scene.shape_count(),
-            triangles: scene.triangles.len(),
+            triangles: scene.triangle_count(),
             nodes: bvh.rows.len() / NODE_ROWS,
             bytes: size_of_val(&bvh.rows[..]),
             depth: bvh.depth,
             build_seconds: bvh.seconds,
+        })
+    }
+}
+
+/// Figures about meshes that are stored once for many instances.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
+pub struct InstanceStats {
+    /// Instances, and the meshes that they share.
+    pub instances: usize,
+    pub meshes: usize,
+    /// Triangles of these meshes,
+    pub stored_triangles: usize,
+    /// … and of the instances, each counted.
+    pub seen_triangles: usize,
+    /// Bytes of instances and meshes, with nodes, normals and texture coordinates,
+    pub bytes: u64,
+    /// … and what they would take if each instance had triangles of its own.
+    pub laid_out_bytes: u64,
+}
+
+impl InstanceStats {
+    pub fn new(scene: &CompiledScene) -> Option<InstanceStats> {
+        let shared = &scene.shared;
+        let [bytes, laid_out_bytes] = shared_bytes(scene);
+        (!shared.instances.is_empty()).then_some(InstanceStats {
+            instances: shared.instances.len(),
+            meshes: shared.meshes,
+            stored_triangles: shared.triangles.len(),
+            seen_triangles: shared.seen,
+            bytes,
+            laid_out_bytes,
         })
     }
 }

@@ -55,6 +55,8 @@ pub struct KernelKey {
     pub stratified: bool,
     /// Depth of the hierarchy over the shapes, if they are too many to ask them all.
     pub bvh: Option<u32>,
+    /// How many instances of shared meshes there are, if any; then the hierarchy has two levels.
+    pub instances: Option<u32>,
     /// Numbers of shapes, if they are few enough for a uniform buffer and unrolled loops.
     pub small_scene: Option<SmallScene>,
 }
@@ -87,7 +89,7 @@ impl KernelKey {
         KernelKey {
             spheres: !scene.spheres.is_empty(),
             quads: !scene.quads.is_empty(),
-            triangles: !scene.triangles.is_empty(),
+            triangles: scene.triangle_count() > 0,
             smooth: !scene.surfaces.normals.is_empty(),
             textures: scene.surfaces.is_textured(),
             normal_maps: scene.surfaces.normal_maps,
@@ -107,6 +109,7 @@ impl KernelKey {
             teaches: estimators.learns(),
             stratified: estimators.sampler == Sampler::Stratified,
             bvh: scene.bvh.as_ref().map(|bvh| bvh.depth),
+            instances: Some(scene.shared.instances.len() as u32).filter(|&count| count > 0),
             small_scene: small_scene(scene),
         }
     }
@@ -163,6 +166,7 @@ impl KernelKey {
             ("reweighted", self.guide == Some(GuideMode::BansalReweighted)),
             ("stratified", self.stratified),
             ("bvh", self.bvh.is_some()),
+            ("instances", self.instances.is_some()),
             ("small_scene", self.small_scene.is_some()),
             ("aligned_quads", self.small_scene.is_some_and(|s| s.aligned != [0; 3])),
             ("other_quads", self.small_scene.is_some_and(|s| s.quads > s.aligned.iter().sum())),
@@ -191,6 +195,9 @@ impl fmt::Display for KernelKey {
         f.write_str(&on.join("+"))?;
         if self.places > 1 {
             write!(f, " (splits up to {})", self.places)?;
+        }
+        if let Some(instances) = self.instances {
+            write!(f, " ({instances} instances)")?;
         }
         match self.small_scene {
             Some(SmallScene { spheres, quads, aligned: [x, y, z] }) => {

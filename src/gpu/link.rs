@@ -8,6 +8,7 @@ use crate::guiding::{GuideUniforms, Trail, Transition};
 use crate::layout::GpuStruct;
 use crate::scene::compiled::{Light, Material, Quad, Sphere, Triangle, Uniforms};
 use crate::scene::environment::{SkyCell, SkyRow};
+use crate::scene::instance::Instance;
 use crate::scene::light_tree::LightCluster;
 use crate::scene::surfaces::{MaterialMaps, TextureImage, TriangleNormals, TriangleUvs};
 use crate::transport::items::{HitItem, RayItem, ShadowItem};
@@ -28,11 +29,13 @@ pub const MODULES: &[(&str, &str)] = modules![
     "scene/bvh",
     "scene/camera",
     "scene/data",
+    "scene/instance",
     "scene/shading",
     "scene/shapes",
     "scene/texels",
     "scene/sky",
     "scene/triangle",
+    "scene/two_levels",
     "bsdf/dielectric",
     "bsdf/diffuse",
     "bsdf/ggx",
@@ -88,6 +91,8 @@ fn item_declarations() -> String {
         Quad::wgsl_rows(),
         Triangle::wgsl(),
         Triangle::wgsl_rows(),
+        Instance::wgsl(),
+        Instance::wgsl_rows(),
         Material::wgsl(),
         Material::wgsl_rows(),
         Light::wgsl(),

@@ -5,6 +5,7 @@ use super::key::{KIND_NAMES, KernelKey, SmallScene};
 use crate::layout::GpuStruct;
 use crate::scene::bvh::NODE_ROWS;
 use crate::scene::compiled::{KINDS, Light, Material, Quad, Sphere, Triangle};
+use crate::scene::instance::Instance;
 use crate::scene::light_tree::LightCluster;
 use crate::scene::rows::{ALIGNED_ROWS, MATERIAL_HOT_ROWS, QUAD_HOT_ROWS, SPHERE_HOT_ROWS};
 use crate::scene::surfaces::{MaterialMaps, TextureImage, TriangleNormals, TriangleUvs};
@@ -242,6 +243,9 @@ impl Stage {
         if let Some(depth) = scene.bvh {
             define("BVH_DEPTH", depth);
         }
+        if let Some(instances) = scene.instances {
+            define("INSTANCES", instances);
+        }
         for (name, rows) in [
             ("NODE_ROWS", NODE_ROWS),
             ("ALIGNED_ROWS", ALIGNED_ROWS),
@@ -250,6 +254,7 @@ impl Stage {
             ("QUAD_HOT_ROWS", QUAD_HOT_ROWS),
             ("QUAD_REST_ROWS", Quad::ROWS - QUAD_HOT_ROWS),
             ("TRIANGLE_ROWS", Triangle::ROWS),
+            ("INSTANCE_ROWS", Instance::ROWS),
             ("MATERIAL_HOT_ROWS", MATERIAL_HOT_ROWS),
             ("MATERIAL_REST_ROWS", Material::ROWS - MATERIAL_HOT_ROWS),
             ("LIGHT_ROWS", Light::ROWS),

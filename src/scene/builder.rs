@@ -1,12 +1,14 @@
 //! Scenes made in code.
 
+use std::collections::HashMap;
 use std::sync::Arc;
 
-use glam::DVec3;
+use glam::{DAffine3, DVec3};
 
 use super::boxes::box_quads;
-use super::description::{MaterialNames, material_index};
+use super::description::material_index;
 use super::error::Fault;
+use super::mesh::Sharing;
 use super::validate::{self, shape_label};
 use super::{
     Camera, Defaults, EnvironmentMap, Geometry, Material, Mesh, MeshData, Placement, Scene, SceneError,
@@ -64,6 +66,7 @@ enum Outline {
     Plain(Geometry),
     Box { center: DVec3, size: DVec3, rotate_y_deg: f64 },
     Mesh { data: MeshData, placement: Placement },
+    Instance { data: Arc<MeshData>, map: DAffine3 },
 }
 
 impl Scene {
@@ -192,6 +195,42 @@ impl SceneBuilder {
         self.shape(Outline::Mesh { data, placement }, material)
     }
 
+    /// Adds the same triangles in many places, each under an affine map and of a material; maps that mirror leave outer sides
+    /// outside. They are stored once where that spares much ([`Instancing`](super::Instancing)), but what emits has triangles of
+    /// its own, and so has what f32 can't bring to its place: maps that stretch lengths by less than 1e-6 or more than 1e6, or
+    /// that undo large coordinates.
+    ///
+    /// ```
+    /// use glam::{DAffine3, DVec3};
+    /// use qtracer::scene::{Material, MeshData, Scene};
+    ///
+    /// let leaf = MeshData {
+    ///     positions: vec![DVec3::ZERO, DVec3::X, DVec3::Y],
+    ///     triangles: vec![[0, 1, 2]],
+    ///     ..Default::default()
+    /// };
+    /// let places = (0..1000).map(|i| (DAffine3::from_translation(DVec3::Z * f64::from(i)), "green"));
+    /// let scene = Scene::builder("leaves")
+    ///     .camera([0.0, 0.0, -5.0], [0.0; 3], 40.0)
+    ///     .environment([1.0; 3])
+    ///     .material("green", Material::diffuse([0.2, 0.6, 0.1]))
+    ///     .mesh_in_places(leaf, places)
+    ///     .build()?;
+    /// assert_eq!(scene.shapes.len(), 1000);
+    /// # Ok::<(), qtracer::scene::SceneError>(())
+    /// ```
+    pub fn mesh_in_places<M: Into<String>>(
+        mut self,
+        data: MeshData,
+        places: impl IntoIterator<Item = (DAffine3, M)>,
+    ) -> Self {
+        let data = Arc::new(data);
+        for (map, material) in places {
+            self = self.shape(Outline::Instance { data: data.clone(), map }, material);
+        }
+        self
+    }
+
     /// Names the shape added last, for messages; does nothing before the first.
     pub fn named(mut self, name: impl Into<String>) -> Self {
         if let Some(last) = self.shapes.last_mut() {
@@ -216,10 +255,16 @@ impl SceneBuilder {
             .enumerate()
             .map(|(index, material)| (material.name.clone(), index))
             .collect();
+        let mut shared = Shared::default();
         for (index, draft) in shapes.into_iter().enumerate() {
             let object = shape_label(index, draft.name.as_deref());
-            let (material, sides) =
-                resolve(draft.outline, &draft.material, &names).map_err(|fault| fault.of(&object, None))?;
+            let (material, sides) = material_index(&draft.material, &names)
+                .map_err(Fault::from)
+                .and_then(|material| {
+                    let shines = scene.materials[material].is_emissive();
+                    Ok((material, resolve(draft.outline, shines, &mut shared)?))
+                })
+                .map_err(|fault| fault.of(&object, None))?;
             scene.shapes.extend(sides.into_iter().map(|geometry| Shape {
                 name: draft.name.clone(),
                 material,
@@ -236,9 +281,12 @@ impl SceneBuilder {
     }
 }
 
-/// The index of the material and the checked surfaces of an outline.
-fn resolve(outline: Outline, material: &str, names: &MaterialNames) -> Result<(usize, Vec<Geometry>), Fault> {
-    let material = material_index(material, names)?;
+/// What is shared, by where its data lies; nothing where it had better not be. It holds on to the data, so that no other can
+/// lie there.
+type Shared = HashMap<*const MeshData, (Arc<MeshData>, Option<Sharing>)>;
+
+/// The checked surfaces of an outline.
+fn resolve(outline: Outline, shines: bool, shared: &mut Shared) -> Result<Vec<Geometry>, Fault> {
     let sides = match outline {
         Outline::Plain(geometry) => {
             validate::geometry(&geometry)?;
@@ -250,10 +298,28 @@ fn resolve(outline: Outline, material: &str, names: &MaterialNames) -> Result<(u
         }
         Outline::Mesh { data, placement } => {
             validate::placement(&placement)?;
-            let mesh =
-                Mesh::new(&data.placed(&placement)).map_err(|problem| format!("the mesh {problem}"))?;
-            vec![Geometry::Mesh(Arc::new(mesh))]
+            vec![laid_out(&data.placed(&placement))?]
         }
+        Outline::Instance { data, map } => vec![instance(data, &map, shines, shared)?],
     };
-    Ok((material, sides))
+    Ok(sides)
+}
+
+fn laid_out(data: &MeshData) -> Result<Geometry, Fault> {
+    let mesh = Mesh::new(data).map_err(|problem| format!("the mesh {problem}"))?;
+    Ok(Geometry::Mesh(Arc::new(mesh)))
+}
+
+fn instance(
+    data: Arc<MeshData>,
+    map: &DAffine3,
+    shines: bool,
+    shared: &mut Shared,
+) -> Result<Geometry, Fault> {
+    let (_, sharing) =
+        shared.entry(Arc::as_ptr(&data)).or_insert_with(|| (data.clone(), Sharing::new(&data)));
+    match sharing.as_ref().filter(|_| !shines).and_then(|sharing| sharing.at(map)) {
+        Some(instance) => Ok(Geometry::Instance(instance)),
+        None => laid_out(&data.transformed(map)),
+    }
 }

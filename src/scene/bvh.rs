@@ -14,7 +14,7 @@ pub const NODE_ROWS: usize = 4;
 /// Nodes that a walk may have to come back to at once, in any hierarchy.
 pub const MOST_DEPTH: u32 = 96;
 /// Factor on the far side of a box that makes up for the rounding of both sides (Ize 2013).
-const FAR_SIDE: f32 = 1.0000005;
+pub(super) const FAR_SIDE: f32 = 1.0000005;
 
 /// Two boxes, and what is in each: the number of another node, or of a shape with [`LEAF`]. In rows:
 /// minimum, child · maximum, 0 of the first; the same of the second.
@@ -29,14 +29,14 @@ pub struct Bvh {
 
 /// 1/direction, finite where a component is zero.
 #[inline(always)]
-fn inverse_direction(direction: Vec3) -> Vec3 {
+pub(super) fn inverse_direction(direction: Vec3) -> Vec3 {
     let tiny = Vec3::splat(1e-30);
     let signed = Vec3::select(direction.cmpge(Vec3::ZERO), tiny, -tiny);
     Vec3::ONE / Vec3::select(direction.abs().cmplt(tiny), signed, direction)
 }
 
 #[inline(always)]
-fn corner(row: &Row) -> Vec3A {
+pub(super) fn corner(row: &Row) -> Vec3A {
     Vec3A::from_vec4(Vec4::from_array(row.map(f32::from_bits)))
 }
 
@@ -69,22 +69,22 @@ fn children_met(bvh: &Bvh, node: u32, walker: &Walker, t_max: f32) -> ChildrenMe
 }
 
 /// A ray with what nodes and triangles ask of it.
-struct Walker {
-    ray: Ray,
+pub(super) struct Walker {
+    pub ray: Ray,
     origin: Vec3A,
     inverse: Vec3A,
-    view: RayShear,
+    pub view: RayShear,
 }
 
 #[inline(always)]
-fn walker(ray: Ray) -> Walker {
+pub(super) fn walker(ray: Ray) -> Walker {
     let inverse = inverse_direction(ray.direction).into();
     Walker { ray, origin: ray.origin.into(), inverse, view: ray_shear(ray.direction) }
 }
 
 /// Distance to one shape, T_MISS if there is none.
 #[inline(always)]
-fn shape_distance(scene: &CompiledScene, walker: &Walker, shape: u32) -> f32 {
+pub(super) fn shape_distance(scene: &CompiledScene, walker: &Walker, shape: u32) -> f32 {
     match scene.shape_index(shape) {
         ShapeIndex::Sphere(i) => intersect_sphere(&walker.ray, &scene.spheres[i]),
         ShapeIndex::Quad(i) => intersect_quad(&walker.ray, &scene.quads[i]),

@@ -5,6 +5,7 @@ use super::bvh::{Bvh, LEAF, MOST_DEPTH, NODE_ROWS};
 use super::compiled::{CompiledScene, Quad, Sphere, Triangle};
 use super::ploc::ploc;
 use super::rows::Row;
+use super::two_levels::INSTANCE;
 use glam::Vec3;
 use obvhs::aabb::Aabb;
 use obvhs::bvh2::Bvh2;
@@ -41,21 +42,62 @@ fn triangle_bounds(triangle: &Triangle) -> Aabb {
     bounds(a.min(b).min(c), a.max(b).max(c))
 }
 
-/// Boxes around all shapes, in the order of their numbers.
+/// Boxes around all shapes that are laid out, in the order of their numbers, and then around all instances.
 fn all_bounds(scene: &CompiledScene) -> Vec<Aabb> {
     let spheres = scene.spheres.iter().map(sphere_bounds);
     let quads = scene.quads.iter().map(quad_bounds);
-    spheres.chain(quads).chain(scene.triangles.iter().map(triangle_bounds)).collect()
+    let instances = scene.shared.bounds.iter().map(|&[low, high]| bounds(low, high));
+    spheres.chain(quads).chain(scene.triangles.iter().map(triangle_bounds)).chain(instances).collect()
 }
 
 impl Bvh {
-    /// The hierarchy of a scene of one shape or more.
+    /// The hierarchy of a scene of one shape or more; of instances, over them as wholes.
     pub fn new(scene: &CompiledScene) -> Bvh {
         let start = Instant::now();
         let boxes = all_bounds(scene);
         let mut bvh = Bvh::best(&boxes);
+        bvh.mark_instances((boxes.len() - scene.shared.instances.len()) as u32);
         bvh.seconds = start.elapsed().as_secs_f64();
         bvh
+    }
+
+    /// The hierarchy over triangles, numbered from 0.
+    pub(super) fn over(triangles: &[Triangle]) -> Bvh {
+        let start = Instant::now();
+        let bvh = Bvh::best(&triangles.iter().map(triangle_bounds).collect::<Vec<_>>());
+        Bvh { seconds: start.elapsed().as_secs_f64(), ..bvh }
+    }
+
+    /// Puts the hierarchies of meshes behind the nodes of this one; returns where each begins. A walk is in one mesh at a time.
+    pub(super) fn join(&mut self, meshes: &[Bvh]) -> Vec<u32> {
+        let deepest = meshes.iter().map(|mesh| mesh.depth).max().unwrap_or(0);
+        self.depth += deepest;
+        let place = |mesh: &Bvh| {
+            let first = (self.rows.len() / NODE_ROWS) as u32;
+            self.rows.extend(&mesh.rows);
+            self.references().skip(2 * first as usize).for_each(|reference| {
+                if *reference & LEAF == 0 {
+                    *reference += first;
+                }
+            });
+            self.seconds += mesh.seconds;
+            first
+        };
+        meshes.iter().map(place).collect()
+    }
+
+    /// Leaves from that number on are of instances.
+    fn mark_instances(&mut self, first: u32) {
+        for reference in self.references() {
+            if *reference & LEAF != 0 && *reference & !LEAF >= first {
+                *reference = LEAF | INSTANCE | ((*reference & !LEAF) - first);
+            }
+        }
+    }
+
+    /// What is in each box, two for each node.
+    fn references(&mut self) -> impl Iterator<Item = &mut u32> {
+        self.rows.iter_mut().step_by(2).map(|row| &mut row[3])
     }
 
     /// The best hierarchy of those that a walk can go through: inserting nodes anew may make it too deep, as may clustering.

@@ -2,8 +2,10 @@
 
 use super::bvh::Bvh;
 use super::environment::{Sky, environment_share};
+use super::instance::instanced_triangle;
 use super::light_tree::{FEWEST_LIGHTS, LightTree};
 use super::shapes::RELATIVE_OFFSET;
+use super::sharing::{Instancing, Shared};
 use super::surfaces::Surfaces;
 use super::triangle::double_area;
 use super::{Camera, Geometry, MaterialKind, Mesh, Scene, rows};
@@ -164,8 +166,10 @@ pub struct CompiledScene {
     pub quads: Vec<Quad>,
     /// How many of each of those there are.
     pub aligned: [usize; 3],
-    /// Of meshes. A scene that has any has a hierarchy.
+    /// Of meshes, each at one place. A scene that has any has a hierarchy.
     pub triangles: Vec<Triangle>,
+    /// Meshes that are stored once, and their instances, which have a second level of the hierarchy.
+    pub shared: Shared,
     pub materials: Vec<Material>,
     pub lights: Vec<Light>,
     /// Where the lights are too many to choose by power alone.
@@ -179,7 +183,8 @@ pub struct CompiledScene {
     pub bvh: Option<Bvh>,
 }
 
-/// A shape by its number among all: spheres come first, then quads, then triangles.
+/// A shape by its number among all: spheres come first, then quads, then triangles. Those of instances go on behind the
+/// others: [`CompiledScene::triangle`] knows all.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ShapeIndex {
     Sphere(usize),
@@ -194,6 +199,11 @@ const SMALL_SHAPES: usize = 2560;
 
 impl CompiledScene {
     pub fn new(scene: &Scene) -> CompiledScene {
+        Self::with_instances(scene, Instancing::Auto)
+    }
+
+    /// The same, with a say in which meshes are shared.
+    pub fn with_instances(scene: &Scene, instancing: Instancing) -> CompiledScene {
         let mut compiled = CompiledScene {
             materials: scene.materials.iter().map(compile_material).collect(),
             surfaces: Surfaces::new(scene),
@@ -204,7 +214,7 @@ impl CompiledScene {
         // Emitters first: where a lamp lies flush in another surface, rays that meet both at once see the lamp.
         let mut shapes: Vec<_> = scene.shapes.iter().collect();
         shapes.sort_by_key(|shape| !scene.materials[shape.material].is_emissive());
-        for shape in shapes {
+        for shape in &shapes {
             let (material, kind) = (shape.material as u32, compiled.materials[shape.material].kind);
             match &shape.geometry {
                 &Geometry::Sphere { center, radius, inward } => compiled.spheres.push(Sphere {
@@ -225,14 +235,22 @@ impl CompiledScene {
                     compiled.triangles.extend(compile_mesh(mesh, material, kind));
                     compiled.surfaces.add_mesh(mesh);
                 }
+                Geometry::Instance(_) => {}
             }
         }
+        let meshes = compiled.add_instances(&shapes, instancing);
         compiled.sort_quads();
         let lamps_power = compiled.find_lights();
         let share = environment_share(&compiled, lamps_power);
         compiled.sky.iter_mut().for_each(|sky| sky.share = share);
         compiled.light_tree = (compiled.lights.len() >= FEWEST_LIGHTS).then(|| LightTree::new(&mut compiled));
         compiled.bvh = (!compiled.is_small()).then(|| Bvh::new(&compiled));
+        if let Some(bvh) = &mut compiled.bvh {
+            let first_nodes = bvh.join(&meshes);
+            for instance in &mut compiled.shared.instances {
+                instance.first_node = first_nodes[instance.first_node as usize];
+            }
+        }
         compiled
     }
 
@@ -245,7 +263,8 @@ impl CompiledScene {
 
     /// Whether rays ask all shapes.
     pub fn is_small(&self) -> bool {
-        self.triangles.is_empty() && size_of_val(&rows::hot(self)[..]) <= SMALL_SHAPES
+        let meshes = !self.triangles.is_empty() || !self.shared.instances.is_empty();
+        !meshes && size_of_val(&rows::hot(self)[..]) <= SMALL_SHAPES
     }
 
     /// Which shape has that number.
@@ -261,9 +280,35 @@ impl CompiledScene {
         }
     }
 
-    /// How many shapes there are.
+    /// A triangle in the world, of an instance too.
+    #[inline(always)]
+    pub fn triangle(&self, i: usize) -> Triangle {
+        match self.triangles.get(i) {
+            Some(triangle) => *triangle,
+            None => instanced_triangle(self, self.triangle_shape(i)),
+        }
+    }
+
+    /// The number of a triangle among all shapes.
+    #[inline(always)]
+    pub fn triangle_shape(&self, i: usize) -> u32 {
+        (self.spheres.len() + self.quads.len() + i) as u32
+    }
+
+    /// A triangle of a mesh that is shared, in its coordinates, by its number among all that are stored.
+    #[inline(always)]
+    pub fn shared_triangle(&self, stored: usize) -> &Triangle {
+        &self.shared.triangles[stored - self.triangles.len()]
+    }
+
+    /// How many triangles are seen, of each instance too.
+    pub fn triangle_count(&self) -> usize {
+        self.triangles.len() + self.shared.seen
+    }
+
+    /// How many shapes there are, with the triangles of each instance.
     pub fn shape_count(&self) -> usize {
-        self.spheres.len() + self.quads.len() + self.triangles.len()
+        self.spheres.len() + self.quads.len() + self.triangle_count()
     }
 
     /// How many shapes a ray asks, or how many it could ask in the time of its walk: on an H100 asking 64 quads takes 0.62 of
@@ -339,7 +384,9 @@ impl CompiledScene {
         let CompiledScene { spheres, quads, triangles, materials, .. } = self;
         let sky = self.sky.as_ref().map_or(&[][..], |sky| &sky.cells);
         use bytemuck::cast_slice as bytes;
-        let shapes = [bytes(spheres), bytes(quads), bytes(triangles), bytes(materials), bytes(sky)];
+        let (shared, instances) = (bytes(&self.shared.triangles), bytes(&self.shared.instances));
+        let shapes =
+            [bytes(spheres), bytes(quads), bytes(triangles), bytes(materials), bytes(sky), shared, instances];
         shapes.into_iter().chain(self.surfaces.bytes())
     }
 
@@ -347,6 +394,7 @@ impl CompiledScene {
     pub fn kinds(&self) -> [bool; KINDS] {
         let used = self.spheres.iter().map(|s| s.kind).chain(self.quads.iter().map(|q| q.kind));
         let used = used.chain(self.triangles.iter().map(|t| t.kind));
+        let used = used.chain(self.shared.instances.iter().map(|i| i.kind));
         let mut kinds = [false; KINDS];
         used.for_each(|kind| kinds[kind as usize] = true);
         kinds

@@ -259,6 +259,9 @@ fn shapes(
         let problem = format!("must be a list of [[shapes]], not {}", node.describe());
         return Err(Fault::from(problem).of("shapes", node.line));
     };
+    for (file, smooth) in list.iter().filter_map(placed_file) {
+        models.announce(file, smooth);
+    }
     let mut shapes = Vec::with_capacity(list.len());
     for (index, node) in list.iter().enumerate() {
         let sides = shape(node, names, models)
@@ -270,11 +273,24 @@ fn shapes(
 
 /// The name of a shape that may be otherwise invalid.
 fn shape_name(node: &Node) -> Option<&str> {
-    let Value::Table(table) = &node.value else {
-        return None;
-    };
-    match &table.get("name")?.value {
+    match &entry(node, "name")?.value {
         Value::Text(name) => Some(name),
+        _ => None,
+    }
+}
+
+/// The file that a shape places, and whether with its normals; the shape may be otherwise invalid.
+fn placed_file(node: &Node) -> Option<(&str, bool)> {
+    let smooth = entry(node, "smooth").is_none_or(|smooth| !matches!(smooth.value, Value::Flag(false)));
+    match &entry(node, "file")?.value {
+        Value::Text(file) => Some((file, smooth)),
+        _ => None,
+    }
+}
+
+fn entry<'a>(node: &'a Node, key: &str) -> Option<&'a Node> {
+    match &node.value {
+        Value::Table(table) => table.get(key),
         _ => None,
     }
 }
@@ -347,7 +363,7 @@ fn meshed(
         let problem = format!("smooth needs normals, which file {file} does not have; write it with them");
         return Err(fields.broken(problem));
     }
-    let mut shapes = models.place(number, &placement, smooth != Some(false)).map_err(broken)?;
+    let mut shapes = models.place(number, &placement, smooth != Some(false), material).map_err(broken)?;
     let first = if own { models.first_material(number).map_err(broken)? } else { 0 };
     let name: Option<String> = fields.get("name")?;
     for shape in &mut shapes {

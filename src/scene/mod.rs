@@ -63,6 +63,7 @@ pub mod camera;
 mod coincidence;
 pub mod compiled;
 pub mod environment;
+pub mod instance;
 pub mod light_tree;
 mod mesh;
 mod model;
@@ -70,11 +71,13 @@ mod ploc;
 pub mod rows;
 pub mod shading;
 pub mod shapes;
+pub mod sharing;
 pub mod sky;
 pub mod surfaces;
 pub mod texels;
 mod texture;
 pub mod triangle;
+pub mod two_levels;
 
 mod builder;
 mod description;
@@ -96,8 +99,10 @@ use glam::DVec3;
 pub use builder::SceneBuilder;
 pub use environment::EnvironmentMap;
 pub use error::{Place, SceneError};
-pub use mesh::{Mesh, MeshData, MeshFormat, Placement, Repairs};
+pub use mesh::{Mesh, MeshData, MeshFormat, MeshInstance, Placement, Repairs};
+pub use sharing::Instancing;
 pub use texture::{MaterialTextures, Texture, TextureRef, Wrap};
+pub(crate) use validate::MOST_LAID_OUT;
 pub use validate::check_image_size;
 pub use warning::SceneWarning;
 
@@ -346,4 +351,26 @@ pub enum Geometry {
     },
     /// Triangles, each with its outward normal on the side from which its corners go counterclockwise.
     Mesh(Arc<Mesh>),
+    /// The same triangles as elsewhere in the scene, at another place. It must not emit.
+    Instance(MeshInstance),
+}
+
+impl Geometry {
+    /// The mesh, in the world's coordinates or, of an instance, in its own.
+    pub fn mesh(&self) -> Option<&Arc<Mesh>> {
+        match self {
+            Self::Mesh(mesh) => Some(mesh),
+            Self::Instance(instance) => Some(instance.mesh()),
+            Self::Sphere { .. } | Self::Quad { .. } => None,
+        }
+    }
+
+    /// The box around a mesh in the world: its least and its greatest corner.
+    pub fn mesh_bounds(&self) -> Option<[glam::Vec3; 2]> {
+        match self {
+            Self::Mesh(mesh) => Some(mesh.bounds()),
+            Self::Instance(instance) => Some(instance.bounds()),
+            Self::Sphere { .. } | Self::Quad { .. } => None,
+        }
+    }
 }

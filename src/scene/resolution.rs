@@ -27,8 +27,8 @@ impl Resolution {
                 let height = e1.cross(e2).length() / e1.length().max(e2.length());
                 Resolution { size: height, offset: offset(largest) }
             }
-            Geometry::Mesh(ref mesh) => {
-                let [low, high] = mesh.bounds().map(|corner| corner.as_dvec3());
+            Geometry::Mesh(_) | Geometry::Instance(_) => {
+                let [low, high] = geometry.mesh_bounds().unwrap_or_default().map(|corner| corner.as_dvec3());
                 let largest = low.abs().max(high.abs()).max_element();
                 Resolution { size: (high - low).max_element(), offset: offset(largest) }
             }

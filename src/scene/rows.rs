@@ -4,6 +4,7 @@
 
 use super::compiled::{CompiledScene, Light, Material, Quad, Sphere, Triangle, Uniforms};
 use super::environment::{SkyCell, SkyRow};
+use super::instance::Instance;
 use super::light_tree::LightCluster;
 use super::surfaces::{MaterialMaps, Surfaces, TextureImage, TriangleNormals, TriangleUvs};
 use crate::layout::GpuStruct;
@@ -67,10 +68,14 @@ fn parts(scene: &CompiledScene) -> Vec<Part<'_>> {
         Part::new(&scene.spheres, SPHERE_HOT_ROWS..Sphere::ROWS).told_by(|u| &mut u.first_sphere_rest_row),
         Part::new(&scene.quads, QUAD_HOT_ROWS..Quad::ROWS).told_by(|u| &mut u.first_quad_rest_row),
         Part::new(&scene.triangles, 0..Triangle::ROWS).told_by(|u| &mut u.first_triangle_row),
+        // Numbered on from those of the scene.
+        Part::new(&scene.shared.triangles, 0..Triangle::ROWS),
         Part::new(&scene.materials, 0..MATERIAL_HOT_ROWS).told_by(|u| &mut u.first_material_row),
         Part::new(rough, MATERIAL_HOT_ROWS..Material::ROWS).told_by(|u| &mut u.first_material_rest_row),
         Part::new(&scene.lights, 0..Light::ROWS).told_by(|u| &mut u.first_light_row),
         Part::of_rows(nodes).told_by(|u| &mut u.first_node_row),
+        // Kernels know their number, and find them in front of the normals.
+        Part::new(&scene.shared.instances, 0..Instance::ROWS),
         Part::new(normals, 0..TriangleNormals::ROWS).told_by(|u| &mut u.first_triangle_normals_row),
         Part::new(uvs, 0..TriangleUvs::ROWS).told_by(|u| &mut u.first_triangle_uvs_row),
         Part::new(maps, 0..MaterialMaps::ROWS).told_by(|u| &mut u.first_material_maps_row),

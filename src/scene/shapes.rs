@@ -2,7 +2,9 @@
 //! quads, then triangles. GPU twin: kernels/scene/shapes.wesl
 
 use super::compiled::{CompiledScene, Quad, ShapeIndex, Sphere, Triangle};
+use super::instance::{instanced_info, instanced_normal, instanced_uvs};
 use super::shading::{Tangents, smooth_normal, triangle_shares, triangle_tangents, triangle_uv};
+use super::surfaces::TriangleUvs;
 use super::triangle::{double_area, intersect_triangle, onto_triangle, ray_shear};
 use glam::{Vec2, Vec3};
 
@@ -100,13 +102,14 @@ pub fn intersect_quad(ray: &Ray, quad: &Quad) -> f32 {
 /// Distances to all shapes, in the order of their numbers.
 fn distances(scene: &CompiledScene, ray: Ray) -> impl Iterator<Item = f32> + '_ {
     let view = ray_shear(ray.direction);
-    let triangle = move |t: &Triangle| match intersect_triangle(ray.origin, &view, t.a, t.b, t.c) {
+    let triangle = move |t: Triangle| match intersect_triangle(ray.origin, &view, t.a, t.b, t.c) {
         t if t > 0.0 => t,
         _ => T_MISS,
     };
     let spheres = scene.spheres.iter().map(move |sphere| intersect_sphere(&ray, sphere));
     let quads = scene.quads.iter().map(move |quad| intersect_quad(&ray, quad));
-    spheres.chain(quads).chain(scene.triangles.iter().map(triangle))
+    let triangles = (0..scene.triangle_count()).map(|i| scene.triangle(i));
+    spheres.chain(quads).chain(triangles.map(triangle))
 }
 
 /// The nearest shape that the ray meets, by asking one after the other. The CPU engine asks [`crate::accel`] instead.
@@ -136,10 +139,10 @@ pub fn shape_info(scene: &CompiledScene, shape: u32) -> ShapeInfo {
             let q = &scene.quads[i];
             ShapeInfo { material: q.material, kind: q.kind, light: q.light }
         }
-        ShapeIndex::Triangle(i) => {
-            let t = &scene.triangles[i];
-            ShapeInfo { material: t.material, kind: t.kind, light: t.light }
-        }
+        ShapeIndex::Triangle(i) => match scene.triangles.get(i) {
+            Some(t) => ShapeInfo { material: t.material, kind: t.kind, light: t.light },
+            None => instanced_info(scene, shape),
+        },
     }
 }
 
@@ -165,17 +168,34 @@ fn quad_uv(scene: &CompiledScene, i: usize, p: Vec3) -> Vec2 {
 /// What a triangle's corners say of the point between them.
 #[inline]
 fn shaded_triangle(scene: &CompiledScene, surface: Surface, i: usize) -> Surface {
-    let Triangle { a, b, c, .. } = scene.triangles[i];
+    let Triangle { a, b, c, .. } = scene.triangle(i);
     let shares = triangle_shares(surface.position, a, b, c);
     let mut shaded = surface;
-    if let Some(normals) = scene.surfaces.normals.get(i) {
-        shaded.shading_normal = smooth_normal(normals, shares, surface.normal);
+    if !scene.surfaces.normals.is_empty() {
+        shaded.shading_normal = triangle_normal(scene, i, shares, surface.normal);
     }
-    if let Some(uvs) = scene.surfaces.uvs.get(i) {
-        shaded.uv = triangle_uv(uvs, shares);
-        shaded.tangents = triangle_tangents(uvs, a, b, c);
+    if !scene.surfaces.uvs.is_empty() {
+        let uvs = triangle_uvs(scene, i);
+        shaded.uv = triangle_uv(&uvs, shares);
+        shaded.tangents = triangle_tangents(&uvs, a, b, c);
     }
     shaded
+}
+
+#[inline]
+fn triangle_normal(scene: &CompiledScene, i: usize, shares: Vec2, flat: Vec3) -> Vec3 {
+    match i < scene.triangles.len() {
+        true => smooth_normal(&scene.surfaces.normals[i], shares, flat),
+        false => instanced_normal(scene, scene.triangle_shape(i), shares, flat),
+    }
+}
+
+#[inline]
+fn triangle_uvs(scene: &CompiledScene, i: usize) -> TriangleUvs {
+    match i < scene.triangles.len() {
+        true => scene.surfaces.uvs[i],
+        false => instanced_uvs(scene, scene.triangle_shape(i)),
+    }
 }
 
 /// Where a point of the shape lies in textures.
@@ -185,8 +205,8 @@ pub fn uv_at(scene: &CompiledScene, shape: u32, p: Vec3) -> Vec2 {
         ShapeIndex::Sphere(_) => Vec2::ZERO,
         ShapeIndex::Quad(i) => quad_uv(scene, i, p),
         ShapeIndex::Triangle(i) => {
-            let Triangle { a, b, c, .. } = scene.triangles[i];
-            triangle_uv(&scene.surfaces.uvs[i], triangle_shares(p, a, b, c))
+            let Triangle { a, b, c, .. } = scene.triangle(i);
+            triangle_uv(&triangle_uvs(scene, i), triangle_shares(p, a, b, c))
         }
     }
 }
@@ -211,7 +231,7 @@ pub fn surface_at(scene: &CompiledScene, ray: Ray, hit: Hit) -> Surface {
             if scene.surfaces.is_textured() { textured_quad(scene, plain, i) } else { plain }
         }
         ShapeIndex::Triangle(i) => {
-            let Triangle { a, b, c, .. } = scene.triangles[i];
+            let Triangle { a, b, c, .. } = scene.triangle(i);
             let size = largest(a).max(largest(b).max(largest(c)));
             let (position, normal) = (onto_triangle(p, a, b, c), double_area(a, b, c).normalize());
             let plain = Surface::plain(position, normal, RELATIVE_OFFSET * size);

@@ -7,7 +7,7 @@ use super::rows::Row;
 use super::shading::packed_normal;
 use super::texels::{WRAP_CLAMP, WRAP_MIRROR, WRAP_REPEAT, WRAP_U_SHIFT, WRAP_V_SHIFT};
 use super::texture::{MaterialTextures, Texture, TextureRef};
-use super::{Geometry, Material, Mesh, Scene};
+use super::{Material, Mesh, Scene};
 use crate::gpu_struct;
 use glam::{DVec3, Vec3};
 use std::collections::HashMap;
@@ -54,6 +54,12 @@ gpu_struct! {
     }
 }
 
+impl TriangleUvs {
+    pub(super) fn new([[u_a, v_a], [u_b, v_b], [u_c, v_c]]: [[f32; 2]; 3]) -> TriangleUvs {
+        TriangleUvs { u_a, v_a, u_b, v_b, u_c, v_c, ..Default::default() }
+    }
+}
+
 /// All of it.
 #[derive(Clone, Debug, Default)]
 pub struct Surfaces {
@@ -84,7 +90,8 @@ impl Surfaces {
     pub fn new(scene: &Scene) -> Surfaces {
         let mut used = vec![false; scene.materials.len()];
         scene.shapes.iter().for_each(|shape| used[shape.material] = true);
-        let smooth = scene.shapes.iter().any(|s| matches!(&s.geometry, Geometry::Mesh(m) if m.is_smooth()));
+        let smooth =
+            scene.shapes.iter().filter_map(|shape| shape.geometry.mesh()).any(|mesh| mesh.is_smooth());
         let textured = |(material, used): &(&Material, &bool)| **used && material.textures.any();
         let mut surfaces = Surfaces { smooth, ..Default::default() };
         let materials = || scene.materials.iter().zip(&used);
@@ -122,28 +129,35 @@ impl Surfaces {
         self.smooth || self.is_textured()
     }
 
+    /// Whether any mesh has normals.
+    pub fn is_smooth(&self) -> bool {
+        self.smooth
+    }
+
     /// Adds what the triangles of a mesh have, in their order.
     pub fn add_mesh(&mut self, mesh: &Mesh) {
+        self.add(mesh.len(), mesh.normals(), mesh.uvs().map(TriangleUvs::new));
+    }
+
+    /// Adds what so many triangles have: one of each for each, or none.
+    pub(super) fn add(
+        &mut self,
+        triangles: usize,
+        normals: impl Iterator<Item = [Vec3; 3]>,
+        uvs: impl Iterator<Item = TriangleUvs>,
+    ) {
         if self.smooth {
             let before = self.normals.len();
-            self.normals.extend(mesh.normals().map(|corners| {
+            self.normals.extend(normals.map(|corners| {
                 let [a, b, c] = corners.map(packed_normal);
                 TriangleNormals { a, b, c, given: 1 }
             }));
-            self.normals.resize(before + mesh.len(), TriangleNormals::default());
+            self.normals.resize(before + triangles, TriangleNormals::default());
         }
         if self.is_textured() {
             let before = self.uvs.len();
-            self.uvs.extend(mesh.uvs().map(|[[u_a, v_a], [u_b, v_b], [u_c, v_c]]| TriangleUvs {
-                u_a,
-                v_a,
-                u_b,
-                v_b,
-                u_c,
-                v_c,
-                ..Default::default()
-            }));
-            self.uvs.resize(before + mesh.len(), TriangleUvs::default());
+            self.uvs.extend(uvs);
+            self.uvs.resize(before + triangles, TriangleUvs::default());
         }
     }
 

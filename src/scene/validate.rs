@@ -7,8 +7,8 @@ use glam::DVec3;
 use super::error::{Fault, quoted};
 use super::texture::{check_size, check_sum};
 use super::{
-    Camera, Defaults, EnvironmentMap, Geometry, Material, MaterialKind, Placement, Scene, SceneError, Shape,
-    Texture,
+    Camera, Defaults, EnvironmentMap, Geometry, Material, MaterialKind, Mesh, Placement, Scene, SceneError,
+    Shape, Texture,
 };
 
 /// `Err` says what is wrong and the remedy, without the object's name.
@@ -29,6 +29,10 @@ const BRIGHTEST: f64 = 1e15;
 const MOST_BOUNCES: u32 = 64;
 const LARGEST_EXPONENT: f64 = 1e6;
 const LARGEST_IOR: f64 = 10.0;
+/// Shapes that can be numbered beside instances, with room for instances that are laid out since they are few.
+pub(crate) const MOST_LAID_OUT: u64 = (1 << 30) - (1 << 20);
+/// Triangles that can be told apart when each instance is counted: numbers of shapes, with room for other shapes.
+pub(super) const MOST_SEEN: u64 = u32::MAX as u64 - (1 << 24);
 
 impl Scene {
     /// Checks every rule; loading and building have done so already, so this is for scenes changed since.
@@ -63,8 +67,18 @@ impl Scene {
             named(&object, geometry(&shape.geometry))?;
             named(&object, material_exists(shape, self.materials.len()))?;
             named(&object, takes_textures(shape, &self.materials[shape.material]))?;
+            named(&object, shared_is_dark(shape, &self.materials[shape.material]))?;
         }
+        named("scene", triangles(self))?;
         Ok(())
+    }
+}
+
+impl Scene {
+    /// How many triangles are seen, those of a mesh counted at each of its places.
+    pub fn triangle_count(&self) -> u64 {
+        let count = |shape: &Shape| shape.geometry.mesh().map_or(0, |mesh| mesh.len() as u64);
+        self.shapes.iter().map(count).sum()
     }
 }
 
@@ -222,12 +236,41 @@ fn takes_textures(shape: &Shape, material: &Material) -> Check {
         _ if !material.textures.any() => Ok(()),
         Geometry::Quad { .. } => Ok(()),
         Geometry::Sphere { .. } => Err(format!("{label} has textures, which spheres can't take; use a mesh")),
-        Geometry::Mesh(mesh) => ensure(mesh.has_uvs(), || {
-            format!(
-                "{label} has textures, but the mesh no texture coordinates; write it with them, or use another material"
-            )
-        }),
+        Geometry::Mesh(mesh) => with_coordinates(mesh, &label),
+        Geometry::Instance(instance) => with_coordinates(instance.mesh(), &label),
     }
+}
+
+fn with_coordinates(mesh: &Mesh, label: &str) -> Check {
+    ensure(mesh.has_uvs(), || {
+        format!(
+            "{label} has textures, but the mesh no texture coordinates; write it with them, or use another material"
+        )
+    })
+}
+
+/// Whether there are numbers for all triangles, and for all that is laid out.
+fn triangles(scene: &Scene) -> Check {
+    let numbers = |shape: &Shape| match &shape.geometry {
+        Geometry::Mesh(mesh) => mesh.len() as u64,
+        _ => 1,
+    };
+    let laid_out: u64 = scene.shapes.iter().map(numbers).sum();
+    ensure(laid_out <= MOST_LAID_OUT, || {
+        format!("has {laid_out} shapes, each triangle counted; stay within {MOST_LAID_OUT}")
+    })?;
+    let seen = scene.triangle_count();
+    ensure(seen <= MOST_SEEN, || {
+        format!("has {seen} triangles, each instance counted; stay within {MOST_SEEN}, with fewer instances")
+    })
+}
+
+/// A lamp is a triangle with a place of its own.
+fn shared_is_dark(shape: &Shape, material: &Material) -> Check {
+    let instance = matches!(shape.geometry, Geometry::Instance(_));
+    ensure(!(instance && material.is_emissive()), || {
+        format!("{} emits, which instances can't; make it a mesh of its own", material_label(&material.name))
+    })
 }
 
 fn refractive_index(ior: f64) -> Check {
@@ -243,7 +286,7 @@ pub(super) fn geometry(geometry: &Geometry) -> Check {
         Geometry::Sphere { center, radius, .. } => sphere(center, radius),
         Geometry::Quad { corner, e1, e2 } => quad(corner, e1, e2),
         // Checked when it was made.
-        Geometry::Mesh(_) => Ok(()),
+        Geometry::Mesh(_) | Geometry::Instance(_) => Ok(()),
     }
 }
 

@@ -7,7 +7,7 @@ use super::compiled::LEAST_ALPHA;
 use super::error::{counted, quoted};
 use super::resolution::Resolution;
 use super::validate::shape_label;
-use super::{Geometry, Material, Repairs, Scene, Shape};
+use super::{Material, Repairs, Scene, Shape};
 
 /// Pairs of shapes that are compared for a warning: a second at most.
 const MOST_PAIRS: usize = 1 << 25;
@@ -142,7 +142,7 @@ impl Scene {
     /// One warning for all meshes that have lost triangles.
     fn repaired_meshes(&self) -> Option<SceneWarning> {
         let repaired = self.shapes.iter().enumerate().filter_map(|(index, shape)| {
-            let Geometry::Mesh(mesh) = &shape.geometry else { return None };
+            let mesh = shape.geometry.mesh()?;
             (mesh.repairs() != Repairs::default()).then(|| (index, mesh.repairs()))
         });
         let repaired: Vec<(usize, Repairs)> = repaired.collect();
@@ -175,7 +175,7 @@ impl Scene {
     fn flush_lamps(&self) -> Vec<SceneWarning> {
         let emits = |shape: &Shape| self.materials.get(shape.material).is_some_and(Material::is_emissive);
         let label = |index: usize| shape_label(index, self.shapes[index].name.as_deref());
-        let is_mesh = |shape: &Shape| matches!(shape.geometry, Geometry::Mesh(_));
+        let is_mesh = |shape: &Shape| shape.geometry.mesh().is_some();
         let plain: Vec<usize> = (0..self.shapes.len()).filter(|&i| !is_mesh(&self.shapes[i])).collect();
         let lamps = plain.iter().copied().filter(|&i| emits(&self.shapes[i]));
         let other = |lamp: usize| {

@@ -19,6 +19,7 @@ mod guiding_kernels;
 mod guiding_maths;
 mod guiding_renders;
 mod guiding_samplers;
+mod instances;
 mod kernels;
 mod lost_samples;
 mod many_lights;

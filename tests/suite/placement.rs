@@ -15,7 +15,7 @@ fn placed(scene: &Scene, scale: f64, shift: DVec3) -> Scene {
     placed.camera.target = point(placed.camera.target);
     for shape in &mut placed.shapes {
         shape.geometry = match shape.geometry {
-            Geometry::Mesh(_) => unreachable!("none of the scenes has one"),
+            Geometry::Mesh(_) | Geometry::Instance(_) => unreachable!("none of the scenes has one"),
             Geometry::Sphere { center, radius, inward } => {
                 Geometry::Sphere { center: point(center), radius: radius * scale, inward }
             }

@@ -28,6 +28,7 @@ fn radius(scene: &CompiledScene) -> f64 {
         [q.corner, q.corner + q.e1, q.corner + q.e2, far]
     });
     let triangles = scene.triangles.iter().flat_map(|t| [t.a, t.b, t.c]);
+    let triangles = triangles.chain(scene.shared.bounds.iter().flatten().copied());
     let grow = |[low, high]: [Vec3; 2], point: Vec3| [low.min(point), high.max(point)];
     let [low, high] = spheres.chain(quads).chain(triangles).fold([Vec3::INFINITY, Vec3::NEG_INFINITY], grow);
     0.5 * f64::from((high - low).length())

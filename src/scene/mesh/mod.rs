@@ -4,6 +4,7 @@ pub(super) mod file;
 mod obj;
 mod placement;
 mod ply;
+mod sharing;
 #[cfg(test)]
 mod tests;
 
@@ -15,6 +16,8 @@ use super::triangle::{SMALLEST_SQUARE, double_area};
 
 pub use file::MeshFormat;
 pub use placement::Placement;
+pub use sharing::MeshInstance;
+pub(super) use sharing::Sharing;
 
 /// Coordinates beyond which products of areas would overflow an f32.
 const LARGEST: f64 = 1e9;

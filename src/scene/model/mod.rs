@@ -11,14 +11,16 @@ mod names;
 mod placed;
 mod whole;
 
+use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
 use rayon::prelude::*;
 
-use super::mesh::{Placement, file};
-use super::{Geometry, Material, Mesh, MeshData, Shape, Texture};
+use super::mesh::{Placement, Sharing, file};
+use super::validate::MOST_SEEN;
+use super::{Geometry, Material, Mesh, MeshData, MeshInstance, Shape, Texture};
 use findings::Findings;
 use names::Names;
 pub(super) use placed::PlacedModels;
@@ -37,6 +39,19 @@ pub(super) struct Model {
     pub lamps: Vec<Lamp>,
     /// What was repaired or left out.
     pub findings: Findings,
+    /// Surfaces that are shared, smooth or not; nothing where they had better not be.
+    shared: HashMap<(usize, bool), Option<Sharing>>,
+}
+
+/// Where and how a model stands in a scene.
+pub(super) struct Standing<'a> {
+    pub placement: &'a Placement,
+    /// Whether its normals are taken.
+    pub smooth: bool,
+    /// How often the scene places it so.
+    pub times: usize,
+    /// Whether what has that material of the model's shines: then it is not shared.
+    pub emits: &'a (dyn Fn(usize) -> bool + Sync),
 }
 
 /// Triangles of one material, in their own coordinates.
@@ -97,6 +112,12 @@ pub(super) enum LampKind {
 pub(super) const NOTHING_TO_SHOW: &str =
     "has no surfaces to show; give its scene a node with a mesh of triangles";
 
+/// Triangles that are spared by sharing a surface, from which on it is: below that they take 2 MB at most, and those placed in
+/// f64 are right to the last place.
+const FEWEST_REPEATED: usize = 1 << 14;
+/// Triangles that are read, or laid out by a model of several instances.
+const MOST_TRIANGLES: usize = 1 << 25;
+
 /// Extensions of files that may be given in place of a scene.
 const EXTENSIONS: [&str; 4] = ["gltf", "glb", "ply", "obj"];
 
@@ -137,40 +158,95 @@ impl Model {
     /// The surfaces in world units, one shape for each instance, whose materials are numbers of the model's; with their normals
     /// if they are to be smooth. Instances without an area are left out.
     ///
-    /// Each instance becomes triangles of its own. This is the place where shared ones would be kept: a [`Surface`] is what
-    /// instances have in common, an [`Instance`] what they differ in.
-    pub fn place(&mut self, placement: &Placement, smooth: bool) -> Result<Vec<Shape>, String> {
-        let Model { surfaces, instances, findings, .. } = self;
-        let outer = placement.transform();
-        let lay_out = |instance: &Instance| -> Result<Option<Shape>, String> {
-            let surface = &surfaces[instance.surface];
-            let mut data = surface.data.transformed(&(outer * instance.transform));
-            if !smooth {
-                data.normals.clear();
-            }
-            let named = |problem| format!("{} {problem}", surface.name).trim_start().to_owned();
-            let shape = |mesh| Shape {
-                name: instance.name.clone(),
-                material: surface.material,
-                geometry: Geometry::Mesh(Arc::new(mesh)),
-            };
-            Ok(Mesh::with_area(&data).map_err(named)?.map(shape))
+    /// Instances of a surface share its triangles where that spares many and nothing stands against it; the others have their
+    /// own, placed in f64.
+    pub fn place(&mut self, standing: &Standing<'_>) -> Result<Vec<Shape>, String> {
+        self.check_seen()?;
+        self.find_shared(standing);
+        let outer = standing.placement.transform();
+        let shared = |instance: &Instance| {
+            let sharing = self.shared.get(&(instance.surface, standing.smooth))?.as_ref()?;
+            let shines = (standing.emits)(self.surfaces[instance.surface].material);
+            (!shines).then_some(sharing)?.at(&(outer * instance.transform))
         };
-        let laid_out: Vec<_> = instances.par_iter().map(lay_out).collect::<Result<_, String>>()?;
-        if !laid_out.is_empty() && laid_out.iter().all(Option::is_none) {
+        let shared: Vec<Option<MeshInstance>> = self.instances.par_iter().map(shared).collect();
+        self.check_repeated(&shared)?;
+        let place = |(instance, shared): (&Instance, Option<MeshInstance>)| {
+            let geometry = match shared {
+                Some(shared) => Some(Geometry::Instance(shared)),
+                None => self.lay_out(instance, &outer, standing.smooth)?,
+            };
+            let material = self.surfaces[instance.surface].material;
+            Ok(geometry.map(|geometry| Shape { name: instance.name.clone(), material, geometry }))
+        };
+        let placed: Vec<Option<Shape>> =
+            self.instances.par_iter().zip(shared).map(place).collect::<Result<_, String>>()?;
+        if !placed.is_empty() && placed.iter().all(Option::is_none) {
             return Err("has no area: its triangles are points or lines where they stand; scale it up, or move it towards the origin"
                 .to_owned());
         }
-        let mut shapes = Vec::with_capacity(laid_out.len());
-        for (shape, instance) in laid_out.into_iter().zip(instances) {
-            match shape {
-                Some(shape) => shapes.push(shape),
-                None => findings.note(
-                    "has no area where it stands, so it is left out; give it a scale above 0",
-                    &surfaces[instance.surface].name,
-                ),
+        let left_out = placed.iter().zip(&self.instances).filter(|(shape, _)| shape.is_none());
+        for (_, instance) in left_out {
+            self.findings.note(
+                "has no area where it stands, so it is left out; give it a scale above 0",
+                &self.surfaces[instance.surface].name,
+            );
+        }
+        Ok(placed.into_iter().flatten().collect())
+    }
+
+    /// Refuses more triangles than have numbers before any of them is placed.
+    fn check_seen(&self) -> Result<(), String> {
+        let triangles = |instance: &Instance| self.surfaces[instance.surface].data.triangles.len() as u64;
+        match self.instances.iter().map(triangles).sum::<u64>() > MOST_SEEN {
+            true => Err(format!(
+                "has more than {MOST_SEEN} triangles, each instance counted; take instances away"
+            )),
+            false => Ok(()),
+        }
+    }
+
+    /// Prepares the surfaces that are to be shared, each once.
+    fn find_shared(&mut self, standing: &Standing<'_>) {
+        let mut counts = vec![0; self.surfaces.len()];
+        self.instances.iter().for_each(|instance| counts[instance.surface] += standing.times);
+        for (number, (surface, count)) in self.surfaces.iter().zip(counts).enumerate() {
+            let repeated = surface.data.triangles.len().saturating_mul(count.max(1) - 1);
+            if repeated >= FEWEST_REPEATED && !(standing.emits)(surface.material) {
+                let sharing = || match standing.smooth {
+                    true => Sharing::new(&surface.data),
+                    false => Sharing::new(&MeshData { normals: Vec::new(), ..surface.data.clone() }),
+                };
+                self.shared.entry((number, standing.smooth)).or_insert_with(sharing);
             }
         }
-        Ok(shapes)
+    }
+
+    /// Refuses more triangles than fit before they are laid out, where few that are read become many.
+    fn check_repeated(&self, shared: &[Option<MeshInstance>]) -> Result<(), String> {
+        let laid_out = self.instances.iter().zip(shared).filter(|(_, shared)| shared.is_none());
+        let triangles = laid_out.map(|(instance, _)| self.surfaces[instance.surface].data.triangles.len());
+        match self.instances.len() > 1 && triangles.sum::<usize>() > MOST_TRIANGLES {
+            true => Err(format!(
+                "has more than {MOST_TRIANGLES} triangles, each instance counted; reduce it or take instances away"
+            )),
+            false => Ok(()),
+        }
+    }
+
+    /// Triangles of the instance's own; nothing if they have no area.
+    fn lay_out(
+        &self,
+        instance: &Instance,
+        outer: &DAffine3,
+        smooth: bool,
+    ) -> Result<Option<Geometry>, String> {
+        let surface = &self.surfaces[instance.surface];
+        let mut data = surface.data.transformed(&(outer * instance.transform));
+        if !smooth {
+            data.normals.clear();
+        }
+        let named = |problem| format!("{} {problem}", surface.name).trim_start().to_owned();
+        Ok(Mesh::with_area(&data).map_err(named)?.map(|mesh| Geometry::Mesh(Arc::new(mesh))))
     }
 }

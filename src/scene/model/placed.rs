@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::{Model, NOTHING_TO_SHOW, Names, has_materials};
+use super::{Model, NOTHING_TO_SHOW, Names, Standing, has_materials};
 use crate::scene::error::quoted;
 use crate::scene::files::within_folder;
 use crate::scene::mesh::Placement;
@@ -20,6 +20,8 @@ pub(in crate::scene) struct PlacedModels<'a> {
     textures: &'a mut Vec<Texture>,
     /// Numbers of files by where they lie.
     numbers: BTreeMap<PathBuf, usize>,
+    /// How often the scene places each, smooth or not.
+    times: BTreeMap<(PathBuf, bool), usize>,
     read: Vec<ReadModel>,
 }
 
@@ -28,6 +30,10 @@ struct ReadModel {
     file: String,
     has_materials: bool,
     model: Model,
+    /// Whether each of its materials shines.
+    emits: Vec<bool>,
+    /// Where it lies.
+    path: PathBuf,
     /// The number of its first material, once the scene has taken them.
     first: Option<usize>,
 }
@@ -40,8 +46,15 @@ impl<'a> PlacedModels<'a> {
         textures: &'a mut Vec<Texture>,
     ) -> Self {
         let names = Names::of(materials.iter().map(|material| material.name.as_str()));
-        let (numbers, read) = (BTreeMap::new(), Vec::new());
-        PlacedModels { folder, materials, names, textures, numbers, read }
+        let (numbers, times, read) = (BTreeMap::new(), BTreeMap::new(), Vec::new());
+        PlacedModels { folder, materials, names, textures, numbers, times, read }
+    }
+
+    /// Tells beforehand that the scene is going to place that file, so that it may share what it places often.
+    pub fn announce(&mut self, file: &str, smooth: bool) {
+        if let Ok(path) = within_folder(self.folder, file) {
+            *self.times.entry((path, smooth)).or_default() += 1;
+        }
     }
 
     /// The number of the file of that name, which must lie within the folder; read if it is new.
@@ -52,7 +65,9 @@ impl<'a> PlacedModels<'a> {
         }
         let (number, has_materials) = (self.read.len(), has_materials(&path));
         let model = Model::load(&path)?;
-        self.read.push(ReadModel { file: file.to_owned(), has_materials, model, first: None });
+        let emits = model.materials.iter().map(Material::is_emissive).collect();
+        let file = file.to_owned();
+        self.read.push(ReadModel { file, has_materials, model, emits, path: path.clone(), first: None });
         self.numbers.insert(path, number);
         Ok(number)
     }
@@ -67,14 +82,20 @@ impl<'a> PlacedModels<'a> {
         self.read[number].model.surfaces.iter().all(|surface| !surface.data.normals.is_empty())
     }
 
-    /// Its surfaces, placed so, one at least; smooth if they have normals and are to be. Materials are numbers of the file's.
+    /// Its surfaces, placed so, one at least; smooth if they have normals and are to be. Materials are numbers of the file's;
+    /// `material` is that of the scene which they get instead, if they do.
     pub fn place(
         &mut self,
         number: usize,
         placement: &Placement,
         smooth: bool,
+        material: Option<usize>,
     ) -> Result<Vec<Shape>, String> {
-        let shapes = self.read[number].model.place(placement, smooth)?;
+        let ReadModel { model, emits, path, .. } = &mut self.read[number];
+        let times = self.times.get(&(path.clone(), smooth)).copied().unwrap_or(1);
+        let shines = material.map(|material| self.materials[material].is_emissive());
+        let emits = |own: usize| shines.unwrap_or(emits[own]);
+        let shapes = model.place(&Standing { placement, smooth, times, emits: &emits })?;
         match shapes.is_empty() {
             true => Err(NOTHING_TO_SHOW.to_owned()),
             false => Ok(shapes),

@@ -5,10 +5,10 @@ use std::path::Path;
 use glam::DVec3;
 
 use super::lamps::RADIUS;
-use super::{LampKind, Model, ModelCamera, NOTHING_TO_SHOW, gltf};
+use super::{LampKind, Model, ModelCamera, NOTHING_TO_SHOW, Standing, gltf};
 use crate::scene::error::{Fault, quoted, suggestion};
 use crate::scene::mesh::Placement;
-use crate::scene::{Camera, Defaults, Geometry, Scene, SceneError, Shape};
+use crate::scene::{Camera, Defaults, Material, Scene, SceneError, Shape};
 
 /// Longest side of images whose size nothing says.
 const LONGEST_SIDE: f64 = 640.0;
@@ -39,7 +39,10 @@ pub(in crate::scene) fn gltf_in_memory(name: String, bytes: &[u8]) -> Result<Sce
 }
 
 fn whole(mut model: Model, name: String, camera: Option<&str>) -> Result<Scene, String> {
-    let mut shapes = model.place(&Placement::default(), true)?;
+    let emits: Vec<bool> = model.materials.iter().map(Material::is_emissive).collect();
+    let emits = |material: usize| emits[material];
+    let standing = Standing { placement: &Placement::default(), smooth: true, times: 1, emits: &emits };
+    let mut shapes = model.place(&standing)?;
     let (middle, diagonal) = extent(&shapes)?;
     let camera = chosen_camera(&mut model, camera, middle, diagonal)?;
     step_back_lamps(&mut model, &camera, diagonal);
@@ -64,10 +67,8 @@ fn whole(mut model: Model, name: String, camera: Option<&str>) -> Result<Scene, 
 
 /// Middle and diagonal of the box around all meshes.
 fn extent(shapes: &[Shape]) -> Result<(DVec3, f64), String> {
-    let meshes = shapes.iter().filter_map(|shape| match &shape.geometry {
-        Geometry::Mesh(mesh) => Some(mesh.bounds().map(|corner| corner.as_dvec3())),
-        _ => None,
-    });
+    let bounds = shapes.iter().filter_map(|shape| shape.geometry.mesh_bounds());
+    let meshes = bounds.map(|bounds| bounds.map(|corner| corner.as_dvec3()));
     match meshes.reduce(|[low, high], [a, b]| [low.min(a), high.max(b)]) {
         Some([low, high]) => Ok((0.5 * (low + high), (high - low).length())),
         None => Err(NOTHING_TO_SHOW.to_owned()),

@@ -2,7 +2,7 @@
 //! bytes.
 
 mod accessors;
-mod builder;
+pub mod builder;
 mod chess;
 mod hostile;
 mod materials;

@@ -16,15 +16,13 @@ use std::path::Path;
 use ::gltf::json::Root;
 use ::gltf::json::mesh::Primitive;
 
-use super::{Instance, Model, Names, Surface};
+use super::{Instance, MOST_TRIANGLES, Model, Names, Surface};
 use crate::scene::error::quoted;
 use crate::scene::{Material, MaterialTextures};
 use buffers::Buffers;
 use nodes::Placed;
 use textures::Images;
 
-/// Triangles in a model once every instance has its own.
-const MOST_TRIANGLES: usize = 1 << 25;
 /// Primitives in a model once every node has its own, with and without triangles.
 const MOST_PRIMITIVES: usize = 1 << 20;
 /// Characters of names that are kept: every instance has its own copy.
@@ -53,14 +51,15 @@ struct Surfaces<'a> {
     model: &'a mut Model,
     root: &'a Root,
     buffers: &'a Buffers<'a>,
-    /// By mesh and place in it: the number of the surface, nothing where there are no triangles, and what it counts for.
-    known: HashMap<(usize, usize), (Option<usize>, usize)>,
+    /// By mesh and place in it: the number of the surface, nothing where there are no triangles.
+    known: HashMap<(usize, usize), Option<usize>>,
     /// Of the materials.
     names: Names,
     /// Numbers of materials without their textures, by those with them.
     untextured: HashMap<usize, usize>,
-    /// So far, each instance counted.
+    /// Read so far.
     triangles: usize,
+    /// So far, each instance counted.
     primitives: usize,
 }
 
@@ -95,26 +94,20 @@ impl<'a> Surfaces<'a> {
                 "has more than {MOST_PRIMITIVES} primitives, each instance counted; join them or take instances away"
             ));
         }
-        if let Some(&(surface, triangles)) = self.known.get(&(mesh, part)) {
-            self.count(triangles)?;
+        if let Some(&surface) = self.known.get(&(mesh, part)) {
             return Ok(surface);
         }
         let label = primitive_label(self.root, mesh, part);
-        let before = self.triangles;
         let surface = self.surface(primitive, &label).map_err(|problem| format!("{label} {problem}"))?;
-        // What is left out is not walked again.
-        let triangles = surface.map_or(0, |_| self.triangles - before);
-        self.known.insert((mesh, part), (surface, triangles));
+        self.known.insert((mesh, part), surface);
         Ok(surface)
     }
 
-    /// Refuses too many; those that tie strips together count as well.
+    /// Refuses too many to read; those that tie strips together count as well.
     fn count(&mut self, triangles: usize) -> Result<(), String> {
         self.triangles = self.triangles.saturating_add(triangles);
         match self.triangles > MOST_TRIANGLES {
-            true => Err(format!(
-                "has more than {MOST_TRIANGLES} triangles, each instance counted; reduce it or take instances away"
-            )),
+            true => Err(format!("has more than {MOST_TRIANGLES} triangles; reduce it")),
             false => Ok(()),
         }
     }
