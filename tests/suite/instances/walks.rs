@@ -196,30 +196,39 @@ const WALK: (&str, &str) = (
     out0 = vec4<u32>(bitcast<u32>(hit.t), hit.shape, u32(dark), 0u);",
 );
 
-/// Hits of spheres have distances of their own in the kernels, which refine them later.
+/// The walk through one hierarchy.
+const WALK_ONE: (&str, &str) = (
+    "import package::scene::bvh::{intersect, occluded};
+    import package::scene::shapes::Ray;",
+    WALK.1,
+);
+
+/// The kernels find by two levels what they find by one, and where they compute to the letter what the CPU does; elsewhere
+/// rays at corners, of which these are many, may go to another triangle than there. Hits of spheres have distances of their
+/// own in the kernels, which refine them later.
 #[test]
 fn the_kernels_walk_through_two_levels_as_the_cpu_does() {
     let gpu = open_gpu();
     for (number, place) in PLACES.into_iter().enumerate() {
         let mut numbers = Numbers(2000 + number as u64);
-        let [shared, _] = rocks(&mut numbers, place);
+        let [shared, laid_out] = rocks(&mut numbers, place);
         let questions: Vec<_> = (0..1 << 12).map(|_| ray_at(&mut numbers, &shared)).collect();
         let answers: Vec<[Row; 1]> = ask(&gpu, WALK, &shared, &questions);
-        let (mut differ, mut apart) = (0, 0.0f32);
-        for (question, [found]) in questions.iter().zip(&answers) {
+        let by_one: Vec<[Row; 1]> = ask(&gpu, WALK_ONE, &laid_out, &questions);
+        let differ = answers.iter().zip(&by_one).filter(|(a, b)| a != b).count();
+        let to_the_letter = computes_to_the_letter(&gpu);
+        println!("{place:?}: {differ} of {} differ", questions.len());
+        assert!(
+            differ <= if to_the_letter { 0 } else { questions.len() / 500 },
+            "{place:?}: {differ} differ"
+        );
+        for (question, [found]) in questions.iter().zip(&answers).filter(|_| to_the_letter) {
             let (hit, dark) = by_two_levels(&shared, question);
             let Hit { t, shape } = hit.unwrap_or(Hit { t: T_MISS, shape: NONE });
-            if [shape, u32::from(dark)] != found[1..3] {
-                differ += 1;
-            } else if shape as usize >= shared.spheres.len() && shape != NONE {
-                let reach = t + floats(question[0]).0.abs().max_element();
-                apart = apart.max((t - f32::from_bits(found[0])).abs() / (f32::EPSILON * reach));
-            }
+            let sphere = (shape as usize) < shared.spheres.len();
+            assert_eq!([shape, u32::from(dark)], found[1..3], "{place:?}: {question:?}");
+            assert!(t.to_bits() == found[0] || sphere, "{place:?}: {question:?}");
         }
-        println!("{place:?}: {differ} of {} differ, distances up to {:.1} roundings", questions.len(), apart);
-        let (most, farthest) =
-            if computes_to_the_letter(&gpu) { (0, 0.0) } else { (questions.len() / 500, 16.0) };
-        assert!(differ <= most && apart <= farthest, "{place:?}: {differ} differ");
     }
 }
 
@@ -292,7 +301,7 @@ fn surfaces_of_instances_are_those_laid_out() {
     assert!(hits.len() > 4000);
     let gpu = open_gpu();
     let answers: Vec<[Row; 3]> = ask(&gpu, SURFACE, &shared, &hits);
-    let (mut bent, mut twins) = (0.0f32, 0.0f32);
+    let (mut bent, mut twins) = (0.0f32, [0.0f32; 3]);
     for ([a, b], [place, normal, shading]) in hits.iter().zip(&answers) {
         let (ray, hit) =
             (Ray { origin: floats(*a).0, direction: floats(*b).0 }, Hit { t: floats(*a).1, shape: b[3] });
@@ -301,12 +310,17 @@ fn surfaces_of_instances_are_those_laid_out() {
         assert!(one.shading_normal.dot(one.normal) > 0.0);
         bent = bent.max(one.shading_normal.distance(other.shading_normal));
         let ((position, offset), normal, shading) = (floats(*place), floats(*normal).0, floats(*shading).0);
-        let apart = (position - one.position).abs().max_element() / offset;
-        twins = twins.max(apart.max(normal.distance(one.normal)).max(shading.distance(one.shading_normal)));
+        // Beside the surface by a share of the offset, along it by roundings of the ray.
+        let [beside, reach] = [position - one.position, ray.origin.abs() + Vec3::splat(hit.t)];
+        let off = beside.dot(one.normal).abs() / offset;
+        let along = beside.length() / (4.0 * f32::EPSILON * reach.max_element() + 0.25 * offset);
+        let normals = normal.distance(one.normal).max(shading.distance(one.shading_normal));
+        twins = [twins[0].max(off), twins[1].max(along), twins[2].max(normals)];
     }
-    println!("shading normals up to {bent:e} apart, twins up to {twins:e}");
+    println!("shading normals up to {bent:e} apart, twins off the surface, along it, normals {twins:?}");
     assert!(bent < 2.5e-4, "{bent}");
-    assert!(twins <= if computes_to_the_letter(&gpu) { 1e-6 } else { 0.25 }, "{twins}");
+    let most = if computes_to_the_letter(&gpu) { [1e-6; 3] } else { [0.25, 1.0, 1e-3] };
+    assert!((0..3).all(|i| twins[i] <= most[i]), "{twins:?}");
 }
 
 /// In f64: a normal that is at right angles to a triangle stays so, on the outer side, whatever the map.
