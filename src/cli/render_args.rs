@@ -130,7 +130,8 @@ struct EngineArgs {
     threads: Option<u16>,
 
     /// Store meshes that stand in many places once (shared), or give each instance triangles of its own (laid-out), which
-    /// takes more memory and less time; auto shares where that spares more than 32 MiB
+    /// takes more memory; auto shares where that spares more than 32 MiB. Lamps, and what repeats fewer than 16384 triangles, are
+    /// never shared. Renders of the two look alike, but are not merged with each other
     #[arg(long, value_enum, default_value_t = InstancesArg::Auto)]
     instances: InstancesArg,
 

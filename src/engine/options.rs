@@ -4,7 +4,7 @@ use super::RenderError;
 use crate::gpu::stage::Schedule;
 use crate::guiding::{GuideMode, GuideOptions, GuideProblem, Learner};
 use crate::random::Sampler;
-use crate::scene::{Instancing, MOST_LAID_OUT, Scene, check_image_size};
+use crate::scene::{Geometry, Instancing, MOST_TRIANGLES, Scene, check_image_size};
 use crate::transport::estimators::Estimators;
 use crate::transport::roulette::Roulette;
 use crate::transport::split::MAX_SPLIT;
@@ -174,12 +174,13 @@ impl RenderOptions {
                 ),
             });
         }
-        if self.instances == Instancing::LaidOut && scene.triangle_count() > MOST_LAID_OUT {
+        let instances = scene.shapes.iter().any(|shape| matches!(shape.geometry, Geometry::Instance(_)));
+        if self.instances == Instancing::LaidOut && instances && scene.triangle_count() > MOST_TRIANGLES {
             return Err(RenderError::Option {
                 option: "instances",
                 value: "laid-out".to_string(),
                 remedy: format!(
-                    "that would be {} triangles, of which {MOST_LAID_OUT} have numbers; choose shared",
+                    "that would be {} triangles, each in memory by itself; stay within {MOST_TRIANGLES}, or choose auto or shared",
                     scene.triangle_count()
                 ),
             });

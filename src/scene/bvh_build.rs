@@ -148,7 +148,7 @@ impl Bvh {
         Bvh::flattened(&ploc(boxes, 0))
     }
 
-    /// A single leaf, which is asked once: the second box is the first, and equal distances change nothing.
+    /// A single leaf, which is asked twice: the second box is the first, and equal distances change nothing.
     fn of_one(leaf: (u32, Aabb)) -> Bvh {
         let mut bvh = Bvh::default();
         let first = bvh.add_node(None, 1);

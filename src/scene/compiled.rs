@@ -3,7 +3,7 @@
 use super::bvh::Bvh;
 use super::environment::{Sky, environment_share};
 use super::instance::instanced_triangle;
-use super::light_tree::{FEWEST_LIGHTS, LightTree};
+use super::light_tree::{FEWEST_LIGHTS, LightTree, MOST_LIGHTS};
 use super::shapes::RELATIVE_OFFSET;
 use super::sharing::{Instancing, Shared};
 use super::surfaces::Surfaces;
@@ -243,7 +243,9 @@ impl CompiledScene {
         let lamps_power = compiled.find_lights();
         let share = environment_share(&compiled, lamps_power);
         compiled.sky.iter_mut().for_each(|sky| sky.share = share);
-        compiled.light_tree = (compiled.lights.len() >= FEWEST_LIGHTS).then(|| LightTree::new(&mut compiled));
+        compiled.light_tree = (FEWEST_LIGHTS..=MOST_LIGHTS)
+            .contains(&compiled.lights.len())
+            .then(|| LightTree::new(&mut compiled));
         compiled.bvh = (!compiled.is_small()).then(|| Bvh::new(&compiled));
         if let Some(bvh) = &mut compiled.bvh {
             let first_nodes = bvh.join(&meshes);

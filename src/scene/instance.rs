@@ -42,8 +42,8 @@ gpu_struct! {
 
 /// Factors of size that f32 has room for on both ways, with squares of areas.
 const SIZES: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
-/// Largest over least factor up to which f64 inverts a matrix to the precision of f32.
-const MOST_STRETCHED: f64 = 1e9;
+/// Largest over least factor up to which rounding a matrix to f32, by 2⁻²⁴ of its largest number, can't turn it inside out.
+const MOST_STRETCHED: f64 = 1e6;
 /// Coordinates within which corners stay, whatever is added up to them.
 const FARTHEST: f64 = 4e9;
 /// What rounding makes of a ray on its way into a mesh's coordinates, for each unit of the world's coordinates and of the

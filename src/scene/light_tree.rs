@@ -23,6 +23,8 @@ pub const COUNT_SHIFT: u32 = 27;
 pub const MOST_CLUSTERS: usize = 16;
 /// Scenes with fewer lamps choose among them by power alone.
 pub const FEWEST_LIGHTS: usize = 16;
+/// Lights up to which clusters, fewer than twice as many, have numbers of [`COUNT_SHIFT`] bits.
+pub const MOST_LIGHTS: usize = 1 << (COUNT_SHIFT - 1);
 /// The weakest lamp's share of the strength of all that the tree knows of: far above the end of f32's range at any distance.
 const LEAST_STRENGTH: f64 = 1e-12;
 /// Intervals into which the centres along an axis are sorted to find where to split.

@@ -102,7 +102,7 @@ pub use error::{Place, SceneError};
 pub use mesh::{Mesh, MeshData, MeshFormat, MeshInstance, Placement, Repairs};
 pub use sharing::Instancing;
 pub use texture::{MaterialTextures, Texture, TextureRef, Wrap};
-pub(crate) use validate::MOST_LAID_OUT;
+pub(crate) use validate::MOST_TRIANGLES;
 pub use validate::check_image_size;
 pub use warning::SceneWarning;
 

@@ -1,14 +1,15 @@
 //! The rules a scene keeps, the same for files and for code. Each check returns what is wrong; callers name the object.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
+use std::sync::Arc;
 
 use glam::DVec3;
 
 use super::error::{Fault, quoted};
 use super::texture::{check_size, check_sum};
 use super::{
-    Camera, Defaults, EnvironmentMap, Geometry, Material, MaterialKind, Mesh, Placement, Scene, SceneError,
-    Shape, Texture,
+    Camera, Defaults, EnvironmentMap, Geometry, Material, MaterialKind, Mesh, MeshInstance, Placement, Scene,
+    SceneError, Shape, Texture,
 };
 
 /// `Err` says what is wrong and the remedy, without the object's name.
@@ -30,7 +31,9 @@ const MOST_BOUNCES: u32 = 64;
 const LARGEST_EXPONENT: f64 = 1e6;
 const LARGEST_IOR: f64 = 10.0;
 /// Shapes that can be numbered beside instances, with room for instances that are laid out since they are few.
-pub(crate) const MOST_LAID_OUT: u64 = (1 << 30) - (1 << 20);
+const MOST_LAID_OUT: u64 = (1 << 30) - (1 << 20);
+/// Triangles of a model, or of all, that are laid out where few that are read become many: some gigabytes.
+pub(crate) const MOST_TRIANGLES: u64 = 1 << 25;
 /// Triangles that can be told apart when each instance is counted: numbers of shapes, with room for other shapes.
 pub(super) const MOST_SEEN: u64 = u32::MAX as u64 - (1 << 24);
 
@@ -251,8 +254,17 @@ fn with_coordinates(mesh: &Mesh, label: &str) -> Check {
 
 /// Whether there are numbers for all triangles, and for all that is laid out.
 fn triangles(scene: &Scene) -> Check {
+    let mut places = HashMap::new();
+    for shape in &scene.shapes {
+        if let Geometry::Instance(instance) = &shape.geometry {
+            *places.entry(Arc::as_ptr(instance.mesh())).or_insert(0) += 1;
+        }
+    }
+    // A mesh in one place spares nothing by being shared.
+    let alone = |instance: &MeshInstance| places[&Arc::as_ptr(instance.mesh())] == 1;
     let numbers = |shape: &Shape| match &shape.geometry {
         Geometry::Mesh(mesh) => mesh.len() as u64,
+        Geometry::Instance(instance) if alone(instance) => instance.mesh().len() as u64,
         _ => 1,
     };
     let laid_out: u64 = scene.shapes.iter().map(numbers).sum();

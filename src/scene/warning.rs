@@ -1,6 +1,8 @@
 //! What is allowed but probably not meant.
 
+use std::collections::HashSet;
 use std::fmt;
+use std::sync::Arc;
 
 use super::coincidence::coincident;
 use super::compiled::LEAST_ALPHA;
@@ -141,9 +143,12 @@ impl Scene {
 
     /// One warning for all meshes that have lost triangles.
     fn repaired_meshes(&self) -> Option<SceneWarning> {
+        let mut told = HashSet::new();
         let repaired = self.shapes.iter().enumerate().filter_map(|(index, shape)| {
             let mesh = shape.geometry.mesh()?;
-            (mesh.repairs() != Repairs::default()).then(|| (index, mesh.repairs()))
+            // A mesh that stands in many places is repaired once.
+            let new = told.insert(Arc::as_ptr(mesh));
+            (new && mesh.repairs() != Repairs::default()).then(|| (index, mesh.repairs()))
         });
         let repaired: Vec<(usize, Repairs)> = repaired.collect();
         let &(first, _) = repaired.first()?;

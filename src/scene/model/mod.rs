@@ -19,7 +19,7 @@ use glam::{DAffine3, DVec3};
 use rayon::prelude::*;
 
 use super::mesh::{Placement, Sharing, file};
-use super::validate::MOST_SEEN;
+use super::validate::{self, MOST_SEEN};
 use super::{Geometry, Material, Mesh, MeshData, MeshInstance, Shape, Texture};
 use findings::Findings;
 use names::Names;
@@ -116,7 +116,7 @@ pub(super) const NOTHING_TO_SHOW: &str =
 /// f64 are right to the last place.
 const FEWEST_REPEATED: usize = 1 << 14;
 /// Triangles that are read, or laid out by a model of several instances.
-const MOST_TRIANGLES: usize = 1 << 25;
+const MOST_TRIANGLES: usize = validate::MOST_TRIANGLES as usize;
 
 /// Extensions of files that may be given in place of a scene.
 const EXTENSIONS: [&str; 4] = ["gltf", "glb", "ply", "obj"];
@@ -185,6 +185,7 @@ impl Model {
             return Err("has no area: its triangles are points or lines where they stand; scale it up, or move it towards the origin"
                 .to_owned());
         }
+        self.tell_laid_out(standing, &placed);
         let left_out = placed.iter().zip(&self.instances).filter(|(shape, _)| shape.is_none());
         for (_, instance) in left_out {
             self.findings.note(
@@ -195,15 +196,35 @@ impl Model {
         Ok(placed.into_iter().flatten().collect())
     }
 
+    /// Notes which instances could have shared their triangles, but for what they are or where they stand.
+    fn tell_laid_out(&mut self, standing: &Standing<'_>, placed: &[Option<Shape>]) {
+        for (instance, shape) in self.instances.iter().zip(placed) {
+            let Some(Shape { geometry: Geometry::Mesh(_), material, .. }) = shape else { continue };
+            if self.shared.contains_key(&(instance.surface, standing.smooth)) && !(standing.emits)(*material)
+            {
+                self.findings.note(
+                    "can't share its triangles with others where it stands, so it has its own; remove triangles of next to no \
+                     area, keep scales between 1e-6 and 1e6 and the mesh near its origin",
+                    &self.surfaces[instance.surface].name,
+                );
+            }
+        }
+    }
+
     /// Refuses more triangles than have numbers before any of them is placed.
     fn check_seen(&self) -> Result<(), String> {
-        let triangles = |instance: &Instance| self.surfaces[instance.surface].data.triangles.len() as u64;
-        match self.instances.iter().map(triangles).sum::<u64>() > MOST_SEEN {
+        match self.seen() > MOST_SEEN {
             true => Err(format!(
                 "has more than {MOST_SEEN} triangles, each instance counted; take instances away"
             )),
             false => Ok(()),
         }
+    }
+
+    /// Triangles, each instance counted.
+    fn seen(&self) -> u64 {
+        let triangles = |instance: &Instance| self.surfaces[instance.surface].data.triangles.len() as u64;
+        self.instances.iter().map(triangles).sum()
     }
 
     /// Prepares the surfaces that are to be shared, each once.
@@ -228,7 +249,8 @@ impl Model {
         let triangles = laid_out.map(|(instance, _)| self.surfaces[instance.surface].data.triangles.len());
         match self.instances.len() > 1 && triangles.sum::<usize>() > MOST_TRIANGLES {
             true => Err(format!(
-                "has more than {MOST_TRIANGLES} triangles, each instance counted; reduce it or take instances away"
+                "has more than {MOST_TRIANGLES} triangles, each instance counted; reduce it, take instances away, or remove triangles \
+                 of next to no area: a mesh that has such can't be shared"
             )),
             false => Ok(()),
         }

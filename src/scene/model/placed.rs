@@ -8,6 +8,7 @@ use crate::scene::error::quoted;
 use crate::scene::files::within_folder;
 use crate::scene::mesh::Placement;
 use crate::scene::texture::check_sum;
+use crate::scene::validate::MOST_SEEN;
 use crate::scene::{Material, SceneWarning, Shape, Texture};
 
 /// The files that a scene has named so far, and what of the scene they add to. In all of it, `Err` says what is wrong and the
@@ -22,6 +23,8 @@ pub(in crate::scene) struct PlacedModels<'a> {
     numbers: BTreeMap<PathBuf, usize>,
     /// How often the scene places each, smooth or not.
     times: BTreeMap<(PathBuf, bool), usize>,
+    /// Triangles placed so far, each instance counted.
+    seen: u64,
     read: Vec<ReadModel>,
 }
 
@@ -47,7 +50,7 @@ impl<'a> PlacedModels<'a> {
     ) -> Self {
         let names = Names::of(materials.iter().map(|material| material.name.as_str()));
         let (numbers, times, read) = (BTreeMap::new(), BTreeMap::new(), Vec::new());
-        PlacedModels { folder, materials, names, textures, numbers, times, read }
+        PlacedModels { folder, materials, names, textures, numbers, times, seen: 0, read }
     }
 
     /// Tells beforehand that the scene is going to place that file, so that it may share what it places often.
@@ -95,6 +98,14 @@ impl<'a> PlacedModels<'a> {
         let times = self.times.get(&(path.clone(), smooth)).copied().unwrap_or(1);
         let shines = material.map(|material| self.materials[material].is_emissive());
         let emits = |own: usize| shines.unwrap_or(emits[own]);
+        // Before any is placed: that takes time for each triangle.
+        self.seen = self.seen.saturating_add(model.seen());
+        let planned = model.seen().saturating_mul(times as u64).max(self.seen);
+        if planned > MOST_SEEN {
+            return Err(format!(
+                "brings the scene to {planned} triangles, each instance counted; stay within {MOST_SEEN}, with fewer instances"
+            ));
+        }
         let shapes = model.place(&Standing { placement, smooth, times, emits: &emits })?;
         match shapes.is_empty() {
             true => Err(NOTHING_TO_SHOW.to_owned()),

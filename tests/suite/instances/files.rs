@@ -103,6 +103,48 @@ fn a_scene_shares_the_file_that_it_places_often() {
     assert_ne!(compiled.light_fingerprint(), moved.light_fingerprint(), "fingerprints do not know instances");
 }
 
+/// A scene that places a file of 41 million triangles a hundred times is refused before any of them is placed, which would take
+/// minutes.
+#[test]
+fn more_triangles_than_have_numbers_are_refused_before_they_are_placed() {
+    let (place, mut file) = (Place::new(), ball(5));
+    for x in 0..2000 {
+        file.stand(json!({ "mesh": 0, "translation": [3 * x, 0, 0] }));
+    }
+    place.write("balls.glb", file.glb());
+    let mut text = HEAD.to_owned();
+    for x in 0..110 {
+        write!(text, "[[shapes]]\ntype = 'mesh'\nfile = 'balls.glb'\ntranslate = [0, {x}, 0]\n").unwrap();
+    }
+    let start = std::time::Instant::now();
+    let refused = Scene::load(place.write("scene.toml", &text)).unwrap_err().to_string();
+    assert!(refused.contains("brings the scene to 4505600000 triangles, each instance counted"), "{refused}");
+    assert!(start.elapsed().as_secs() < 20, "{:?}", start.elapsed());
+}
+
+/// A mesh with a triangle of next to no area is laid out where it stands often, and that is told.
+#[test]
+fn meshes_that_cannot_be_shared_are_told() {
+    let place = Place::new();
+    let mut data = icosphere(4);
+    let first = data.positions.len() as u32;
+    data.positions.extend([DVec3::ZERO, DVec3::X, DVec3::new(0.5, 1e-6, 0.0)]);
+    data.triangles.push([first, first + 1, first + 2]);
+    place.write("ball.obj", obj(&data));
+    let mut text = HEAD.to_owned();
+    for x in 0..5 {
+        write!(
+            text,
+            "[[shapes]]\ntype = 'mesh'\nfile = 'ball.obj'\nmaterial = 'a'\ntranslate = [{x}, 1000, 0]\n"
+        )
+        .unwrap();
+    }
+    let scene = Scene::load(place.write("scene.toml", &text)).unwrap();
+    assert_eq!(instances(&scene), 0);
+    let warnings: Vec<String> = scene.warnings().iter().map(ToString::to_string).collect();
+    assert!(warnings.iter().any(|w| w.contains("can't share its triangles")), "{warnings:?}");
+}
+
 /// A thousand places of a mesh of 20,480 triangles: the memory of one, as measured on what a GPU gets.
 #[test]
 fn a_thousand_instances_take_the_memory_of_one() {

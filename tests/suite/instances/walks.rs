@@ -357,6 +357,9 @@ fn hopeless_places_are_laid_out_in_full_precision() {
     let hopeless = [
         DAffine3::from_scale(DVec3::splat(1e-7)),
         DAffine3::from_scale(DVec3::new(1.0, 1.0, 1e-8)),
+        // Rounded to f32, half of such maps are inside out.
+        DAffine3::from_mat3(turn(&mut Numbers(2)) * DMat3::from_diagonal(DVec3::new(1e4, 1e4, 2e-6))),
+        DAffine3::from_mat3(turn(&mut Numbers(3)) * DMat3::from_diagonal(DVec3::new(1e4, 1e4, 1e-3))),
         // Undoes what the mesh's own coordinates are.
         DAffine3::from_mat3_translation(DMat3::IDENTITY, DVec3::splat(-1e5)),
     ];
@@ -365,7 +368,7 @@ fn hopeless_places_are_laid_out_in_full_precision() {
         ..data.clone()
     };
     for (number, map) in hopeless.into_iter().enumerate() {
-        let mesh = if number == 2 { moved.clone() } else { data.clone() };
+        let mesh = if number == 4 { moved.clone() } else { data.clone() };
         let builder = under_a_sky([0.0, 0.0, 9.0], [0.0; 3]);
         let scene = builder
             .mesh_in_places(mesh, [(map, "grey"), (DAffine3::from_mat3(turn(&mut Numbers(1))), "grey")]);

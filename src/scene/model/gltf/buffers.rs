@@ -10,6 +10,7 @@ use base64::engine::general_purpose::STANDARD;
 use percent_encoding::percent_decode_str;
 
 use crate::scene::error::quoted;
+use crate::scene::files::FileKind;
 use crate::scene::files::within_folder;
 use crate::scene::mesh::file::MESHES;
 
@@ -45,7 +46,7 @@ fn one<'a>(
 ) -> Result<Cow<'a, [u8]>, String> {
     let length = buffer.byte_length.0;
     let bytes = match (&buffer.uri, chunk) {
-        (Some(uri), _) => Cow::Owned(from_uri(uri, length, folder)?),
+        (Some(uri), _) => Cow::Owned(from_uri(uri, &MESHES, length, folder)?),
         (None, Some(chunk)) if number == 0 => Cow::Borrowed(chunk),
         (None, _) => return Err("has neither a uri nor a binary chunk; write the model anew".to_owned()),
     };
@@ -59,7 +60,12 @@ fn one<'a>(
 }
 
 /// The bytes that a URI names: of them, a file gives the first `length`.
-pub(super) fn from_uri(uri: &str, length: u64, folder: Option<&Path>) -> Result<Vec<u8>, String> {
+pub(super) fn from_uri(
+    uri: &str,
+    kind: &FileKind,
+    length: u64,
+    folder: Option<&Path>,
+) -> Result<Vec<u8>, String> {
     if let Some(data) = uri.strip_prefix("data:") {
         return from_data(data);
     }
@@ -75,7 +81,7 @@ pub(super) fn from_uri(uri: &str, length: u64, folder: Option<&Path>) -> Result<
         .decode_utf8()
         .map_err(|_| format!("has the uri {name}, which is no UTF-8"))?;
     let path = within_folder(folder, &path).map_err(|problem| format!("file {name} {problem}"))?;
-    MESHES.bytes(&path, length).map_err(|problem| format!("file {name} {problem}"))
+    kind.bytes(&path, length).map_err(|problem| format!("file {name} {problem}"))
 }
 
 /// `application/octet-stream;base64,AAAA`, or plain text with percent signs.

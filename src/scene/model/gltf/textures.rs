@@ -86,7 +86,7 @@ impl<'a> Images<'a> {
         let given = self.root.images.get(image).ok_or("is not there")?;
         match (given.buffer_view, &given.uri) {
             (Some(view), _) => Ok(Cow::Borrowed(view_bytes(self.root, self.buffers, view)?)),
-            (None, Some(uri)) => Ok(Cow::Owned(from_uri(uri, TEXTURES.most_bytes, self.folder)?)),
+            (None, Some(uri)) => Ok(Cow::Owned(from_uri(uri, &TEXTURES, u64::MAX, self.folder)?)),
             (None, None) => Err("has neither a bufferView nor a uri".to_owned()),
         }
     }
