@@ -86,6 +86,12 @@ impl Departure<'_> {
     }
 }
 
+/// The shape's normal, on the side from which the ray came.
+#[inline(always)]
+fn facing_normal(ray: &RayItem, surface: &Surface) -> Vec3 {
+    if ray.direction.dot(surface.normal) < 0.0 { surface.normal } else { -surface.normal }
+}
+
 /// A path that goes on as several copies: [`Transport::copy_of`] makes those but the first, from where it leaves.
 #[derive(Clone, Copy, Debug)]
 pub struct Split {
@@ -301,8 +307,7 @@ impl<'a> Transport<'a> {
         key: SampleKey,
     ) -> Option<ShadowItem> {
         let u = sample4(self.sampler, key, dimension_light(bounce_of(ray)));
-        let outside = ray.direction.dot(surface.normal) < 0.0;
-        let facing = if outside { surface.normal } else { -surface.normal };
+        let facing = facing_normal(ray, surface);
         match u.w < self.uniforms.environment_share {
             true => self.sky_light(ray, surface, (normal, facing), material, u),
             false => self.lamp_light(ray, surface, (normal, facing), material, u),

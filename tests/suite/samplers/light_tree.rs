@@ -154,16 +154,18 @@ fn both_sides_choose_alike_and_the_way_up_finds_what_the_way_down_did() {
             let (a, b) = (f64::from(f32::from_bits(a)), f64::from(f32::from_bits(b)));
             (a - b).abs() / a.max(b)
         };
+        // What a cluster just above the horizon sends is a difference, which adapters that fuse products round otherwise.
+        let most = if twins.compute_to_the_letter() { 1e-4 } else { 0.03 };
         let mut others = 0;
         for ((question, [a]), [b]) in questions.iter().zip(&cpu).zip(&gpu) {
-            assert!(apart.see(off(a[3], b[3])) < 1e-4, "{name}: {question:?}: {a:?} {b:?}");
+            assert!(apart.see(off(a[3], b[3])) < most, "{name}: {question:?}: {a:?} {b:?}");
             let up = probability_in_tree(&world.scene, floats(question[0]).0, a[0]);
             assert!(upwards.see(off(a[2], up.to_bits())) < 1e-5, "{name}: {question:?}");
             if a[0] != b[0] {
                 others += 1;
                 continue;
             }
-            assert!(off(a[1], b[1]).max(off(a[2], b[2])) < 1e-4, "{name}: {question:?}: {a:?} {b:?}");
+            assert!(off(a[1], b[1]).max(off(a[2], b[2])) < most, "{name}: {question:?}: {a:?} {b:?}");
         }
         println!("{name}: {:.1e} apart, {:.1e} up, {others} chosen otherwise", apart.get(), upwards.get());
         // Numbers that fall within rounding of a boundary; none where both sides compute to the letter.
@@ -224,7 +226,8 @@ fn the_tree_chooses_lights_as_often_as_their_probabilities_say() {
                 let light = answer[0] as usize;
                 observed[light] += 1;
                 let off = f64::from(f32::from_bits(answer[1])) / told[light] - 1.0;
-                assert!(off.abs() < 1e-4, "{side:?}: light {light} at {point} for {normal}: {off:e} off");
+                let most = if twins.compute_to_the_letter() { 1e-4 } else { 0.03 };
+                assert!(off.abs() < most, "{side:?}: light {light} at {point} for {normal}: {off:e} off");
             }
             let expected: Vec<f64> = told.iter().map(|p| p * f64::from(n)).collect();
             let p = chi2_test(&observed, &expected).unwrap().p_value;
