@@ -8,6 +8,7 @@
 use std::fmt::Write as _;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
+use std::process::ExitCode;
 use std::{env, error, fs};
 
 /// Corners around the trunk, and pieces of it from the ground up.
@@ -190,19 +191,35 @@ fn write(folder: &Path, triangles: u32, trees: u32) -> Result<(PathBuf, usize), 
     Ok((path, mesh.triangles.len()))
 }
 
-fn main() -> Result<(), Box<dyn error::Error>> {
-    let usage =
-        "usage: grove TRIANGLES TREES [FOLDER]; from 98 to 100 million triangles each, up to 250,000 trees";
-    let mut arguments = env::args().skip(1);
-    let mut count = |range: std::ops::RangeInclusive<u32>| {
-        let count = arguments.next().and_then(|n| n.parse().ok()).ok_or(usage)?;
-        if range.contains(&count) { Ok(count) } else { Err(usage) }
+/// Makes what the arguments say; what it made, or what is wrong and the remedy.
+fn make(mut arguments: impl Iterator<Item = String>) -> Result<String, String> {
+    let mut count = |name: &str, range: std::ops::RangeInclusive<u32>| {
+        let given = arguments.next().unwrap_or_default();
+        given.parse().ok().filter(|count| range.contains(count)).ok_or_else(|| {
+            let (least, most) = range.into_inner();
+            format!(
+                "{name} is \"{given}\"; give a number from {least} to {most}: grove TRIANGLES TREES [FOLDER]"
+            )
+        })
     };
-    let (triangles, trees) = (count(TRUNK + 2..=100_000_000)?, count(1..=250_000)?);
+    let (triangles, trees) = (count("TRIANGLES", TRUNK + 2..=100_000_000)?, count("TREES", 1..=250_000)?);
     let folder = arguments.next().map_or_else(|| PathBuf::from("target/grove"), PathBuf::from);
-    let (path, each) = write(&folder, triangles, trees)?;
-    println!("{}: {trees} trees of {each} triangles, {}", path.display(), u64::from(trees) * each as u64);
-    Ok(())
+    let (path, each) = write(&folder, triangles, trees)
+        .map_err(|e| format!("cannot write into \"{}\": {e}; choose another folder", folder.display()))?;
+    Ok(format!("{}: {trees} trees of {each} triangles, {}", path.display(), u64::from(trees) * each as u64))
+}
+
+fn main() -> ExitCode {
+    match make(env::args().skip(1)) {
+        Ok(made) => {
+            println!("{made}");
+            ExitCode::SUCCESS
+        }
+        Err(problem) => {
+            eprintln!("error: {problem}");
+            ExitCode::from(2)
+        }
+    }
 }
 
 #[cfg(test)]
