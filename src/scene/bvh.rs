@@ -52,18 +52,18 @@ fn box_distance(origin: Vec3A, inverse: Vec3A, low: &Row, high: &Row, t_max: f32
 }
 
 /// Which children of a node the ray meets before `t_max`; where it meets one, that is the nearer.
-struct ChildrenMet {
-    any: bool,
-    both: bool,
-    nearer: u32,
-    farther: u32,
+pub(super) struct ChildrenMet {
+    pub any: bool,
+    pub both: bool,
+    pub nearer: u32,
+    pub farther: u32,
 }
 
+/// What a walk does at a node, by the distances to its boxes.
 #[inline(always)]
-fn children_met(bvh: &Bvh, node: u32, walker: &Walker, t_max: f32) -> ChildrenMet {
+pub(super) fn children_met(bvh: &Bvh, node: u32, distance: impl Fn(&Row, &Row) -> f32) -> ChildrenMet {
     let [low0, high0, low1, high1] = &bvh.rows.as_chunks().0[node as usize];
-    let t0 = box_distance(walker.origin, walker.inverse, low0, high0, t_max);
-    let t1 = box_distance(walker.origin, walker.inverse, low1, high1, t_max);
+    let (t0, t1) = (distance(low0, high0), distance(low1, high1));
     let (nearer, farther) = if t0 <= t1 { (low0[3], low1[3]) } else { (low1[3], low0[3]) };
     ChildrenMet { any: t0.min(t1) < T_MISS, both: t0.max(t1) < T_MISS, nearer, farther }
 }
@@ -96,26 +96,26 @@ pub(super) fn shape_distance(scene: &CompiledScene, walker: &Walker, shape: u32)
     }
 }
 
-/// What a walk still has to visit.
-struct Waiting {
-    nodes: [u32; MOST_DEPTH as usize],
-    count: usize,
+/// What a walk still has to visit, so much at most.
+pub(super) struct Waiting<const MOST: usize> {
+    nodes: [u32; MOST],
+    pub count: usize,
 }
 
-impl Waiting {
+impl<const MOST: usize> Waiting<MOST> {
     #[inline(always)]
-    fn none() -> Self {
-        Waiting { nodes: [0; MOST_DEPTH as usize], count: 0 }
+    pub fn none() -> Self {
+        Waiting { nodes: [0; MOST], count: 0 }
     }
 
     #[inline(always)]
-    fn push(&mut self, node: u32) {
+    pub fn push(&mut self, node: u32) {
         self.nodes[self.count] = node;
         self.count += 1;
     }
 
     #[inline(always)]
-    fn pop(&mut self) -> Option<u32> {
+    pub fn pop(&mut self) -> Option<u32> {
         self.count = self.count.checked_sub(1)?;
         Some(self.nodes[self.count])
     }
@@ -125,7 +125,7 @@ impl Waiting {
 pub fn intersect(scene: &CompiledScene, bvh: &Bvh, ray: Ray) -> Option<Hit> {
     let walker = walker(ray);
     let mut hit = Hit { t: T_MISS, shape: u32::MAX };
-    let mut waiting = Waiting::none();
+    let mut waiting = Waiting::<{ MOST_DEPTH as usize }>::none();
     let mut at = 0;
     loop {
         if at & LEAF != 0 {
@@ -135,7 +135,9 @@ pub fn intersect(scene: &CompiledScene, bvh: &Bvh, ray: Ray) -> Option<Hit> {
                 hit = Hit { t, shape };
             }
         } else {
-            let met = children_met(bvh, at, &walker, hit.t);
+            let met = children_met(bvh, at, |low, high| {
+                box_distance(walker.origin, walker.inverse, low, high, hit.t)
+            });
             if met.any {
                 at = met.nearer;
                 if met.both {
@@ -154,7 +156,7 @@ pub fn intersect(scene: &CompiledScene, bvh: &Bvh, ray: Ray) -> Option<Hit> {
 /// Whether anything but `excluded` (the light aimed at) lies nearer than `t_max`.
 pub fn occluded(scene: &CompiledScene, bvh: &Bvh, ray: Ray, t_max: f32, excluded: u32) -> bool {
     let walker = walker(ray);
-    let mut waiting = Waiting::none();
+    let mut waiting = Waiting::<{ MOST_DEPTH as usize }>::none();
     let mut at = 0;
     loop {
         if at & LEAF != 0 {
@@ -163,7 +165,9 @@ pub fn occluded(scene: &CompiledScene, bvh: &Bvh, ray: Ray, t_max: f32, excluded
                 return true;
             }
         } else {
-            let met = children_met(bvh, at, &walker, t_max);
+            let met = children_met(bvh, at, |low, high| {
+                box_distance(walker.origin, walker.inverse, low, high, t_max)
+            });
             if met.any {
                 at = met.nearer;
                 if met.both {

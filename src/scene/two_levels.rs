@@ -4,7 +4,8 @@
 //! hierarchy over all triangles would find, bit for bit. GPU twin: kernels/scene/two_levels.wesl
 
 use super::bvh::{
-    Bvh, FAR_SIDE, LEAF, MOST_DEPTH, NODE_ROWS, Walker, corner, inverse_direction, shape_distance, walker,
+    Bvh, FAR_SIDE, LEAF, MOST_DEPTH, Waiting, Walker, children_met, corner, inverse_direction,
+    shape_distance, walker,
 };
 use super::compiled::{CompiledScene, Triangle};
 use super::instance::{Instance, place_triangle, to_mesh};
@@ -51,23 +52,6 @@ fn widened_distance(frame: &BoxFrame, low: &Row, high: &Row, t_max: f32) -> f32 
     if enter <= leave * FAR_SIDE { enter } else { T_MISS }
 }
 
-/// Which children of a node the ray meets before `t_max`; where it meets one, that is the nearer.
-struct ChildrenMet {
-    any: bool,
-    both: bool,
-    nearer: u32,
-    farther: u32,
-}
-
-#[inline(always)]
-fn children_met(bvh: &Bvh, node: u32, frame: &BoxFrame, t_max: f32) -> ChildrenMet {
-    let [low0, high0, low1, high1] = &bvh.rows.as_chunks::<NODE_ROWS>().0[node as usize];
-    let t0 = widened_distance(frame, low0, high0, t_max);
-    let t1 = widened_distance(frame, low1, high1, t_max);
-    let (nearer, farther) = if t0 <= t1 { (low0[3], low1[3]) } else { (low1[3], low0[3]) };
-    ChildrenMet { any: t0.min(t1) < T_MISS, both: t0.max(t1) < T_MISS, nearer, farther }
-}
-
 /// Distance to a triangle of an instance, by its number in the mesh; T_MISS if it is not met.
 #[inline(always)]
 fn instanced_distance(scene: &CompiledScene, walker: &Walker, instance: &Instance, number: u32) -> f32 {
@@ -77,119 +61,113 @@ fn instanced_distance(scene: &CompiledScene, walker: &Walker, instance: &Instanc
     if t > 0.0 { t } else { T_MISS }
 }
 
-/// What a walk still has to visit.
-struct Waiting {
-    nodes: [u32; 2 * MOST_DEPTH as usize],
-    count: usize,
+/// Where a walk is: in the world, or within an instance.
+struct Walk<'a> {
+    scene: &'a CompiledScene,
+    walker: Walker,
+    frame: BoxFrame,
+    within: Option<&'a Instance>,
+    /// Of both levels; below `floor` lies what waited when the walk came in.
+    waiting: Waiting<{ 2 * MOST_DEPTH as usize }>,
+    floor: usize,
 }
 
-impl Waiting {
+impl<'a> Walk<'a> {
     #[inline(always)]
-    fn none() -> Self {
-        Waiting { nodes: [0; 2 * MOST_DEPTH as usize], count: 0 }
+    fn new(scene: &'a CompiledScene, ray: Ray) -> Self {
+        let (walker, frame) = (walker(ray), world_frame(ray));
+        Walk { scene, walker, frame, within: None, waiting: Waiting::none(), floor: 0 }
     }
 
+    /// Goes into the instance that stands at `at`, if one does: the top node of its mesh.
     #[inline(always)]
-    fn push(&mut self, node: u32) {
-        self.nodes[self.count] = node;
-        self.count += 1;
+    fn enter(&mut self, at: u32) -> Option<u32> {
+        if self.within.is_some() || at & (LEAF | INSTANCE) != LEAF | INSTANCE {
+            return None;
+        }
+        let instance = &self.scene.shared.instances[(at & !(LEAF | INSTANCE)) as usize];
+        self.frame = mesh_frame(instance, self.walker.ray);
+        (self.within, self.floor) = (Some(instance), self.waiting.count);
+        Some(instance.first_node)
     }
 
+    /// The shape of a leaf, and how far it is.
     #[inline(always)]
-    fn pop(&mut self) -> Option<u32> {
-        self.count = self.count.checked_sub(1)?;
-        Some(self.nodes[self.count])
+    fn leaf(&self, at: u32) -> Hit {
+        let number = at & !LEAF;
+        match self.within {
+            None => Hit { t: shape_distance(self.scene, &self.walker, number), shape: number },
+            Some(instance) => {
+                let t = instanced_distance(self.scene, &self.walker, instance, number);
+                Hit { t, shape: instance.first_shape + number }
+            }
+        }
+    }
+
+    /// Where to go on from a node: to the nearer of its children that the ray meets before `t_max`.
+    #[inline(always)]
+    fn descend(&mut self, bvh: &Bvh, at: u32, t_max: f32) -> Option<u32> {
+        let met = children_met(bvh, at, |low, high| widened_distance(&self.frame, low, high, t_max));
+        if met.both {
+            self.waiting.push(met.farther);
+        }
+        met.any.then_some(met.nearer)
+    }
+
+    /// What is to be visited next, out of the instance if nothing is left in it.
+    #[inline(always)]
+    fn next(&mut self) -> Option<u32> {
+        if self.within.is_some() && self.waiting.count == self.floor {
+            self.within = None;
+            self.frame = world_frame(self.walker.ray);
+        }
+        self.waiting.pop()
     }
 }
 
 /// The nearest shape that the ray meets, of equally near ones the first.
 pub fn intersect(scene: &CompiledScene, bvh: &Bvh, ray: Ray) -> Option<Hit> {
-    let walker = walker(ray);
-    let mut frame = world_frame(ray);
-    let mut hit = Hit { t: T_MISS, shape: u32::MAX };
-    let mut waiting = Waiting::none();
-    // The instance that the walk is in, its first shape, and how much was waiting when it came in.
-    let (mut within, mut first_shape, mut floor) = (None, 0, 0);
-    let mut at = 0;
-    loop {
-        if within.is_none() && at & (LEAF | INSTANCE) == LEAF | INSTANCE {
-            let instance = &scene.shared.instances[(at & !(LEAF | INSTANCE)) as usize];
-            frame = mesh_frame(instance, ray);
-            (within, first_shape, floor) = (Some(instance), instance.first_shape, waiting.count);
-            at = instance.first_node;
+    let mut walk = Walk::new(scene, ray);
+    let mut nearest = Hit { t: T_MISS, shape: u32::MAX };
+    let mut next = Some(0);
+    while let Some(at) = next {
+        if let Some(top) = walk.enter(at) {
+            next = Some(top);
             continue;
         }
         if at & LEAF != 0 {
-            let shape = first_shape + (at & !LEAF);
-            let t = match within {
-                None => shape_distance(scene, &walker, shape),
-                Some(instance) => instanced_distance(scene, &walker, instance, at & !LEAF),
-            };
-            if t < hit.t || (t == hit.t && shape < hit.shape && t < T_MISS) {
-                hit = Hit { t, shape };
+            let hit = walk.leaf(at);
+            if hit.t < nearest.t || (hit.t == nearest.t && hit.shape < nearest.shape && hit.t < T_MISS) {
+                nearest = hit;
             }
-        } else {
-            let met = children_met(bvh, at, &frame, hit.t);
-            if met.any {
-                at = met.nearer;
-                if met.both {
-                    waiting.push(met.farther);
-                }
-                continue;
-            }
+        } else if let Some(child) = walk.descend(bvh, at, nearest.t) {
+            next = Some(child);
+            continue;
         }
-        if within.is_some() && waiting.count == floor {
-            (within, first_shape) = (None, 0);
-            frame = world_frame(ray);
-        }
-        match waiting.pop() {
-            Some(node) => at = node,
-            None => return (hit.shape != u32::MAX).then_some(hit),
-        }
+        next = walk.next();
     }
+    (nearest.shape != u32::MAX).then_some(nearest)
 }
 
 /// Whether anything but `excluded` (the light aimed at) lies nearer than `t_max`.
 pub fn occluded(scene: &CompiledScene, bvh: &Bvh, ray: Ray, t_max: f32, excluded: u32) -> bool {
-    let walker = walker(ray);
-    let mut frame = world_frame(ray);
-    let mut waiting = Waiting::none();
-    let (mut within, mut first_shape, mut floor) = (None, 0, 0);
-    let mut at = 0;
-    loop {
-        if within.is_none() && at & (LEAF | INSTANCE) == LEAF | INSTANCE {
-            let instance = &scene.shared.instances[(at & !(LEAF | INSTANCE)) as usize];
-            frame = mesh_frame(instance, ray);
-            (within, first_shape, floor) = (Some(instance), instance.first_shape, waiting.count);
-            at = instance.first_node;
+    let mut walk = Walk::new(scene, ray);
+    let mut next = Some(0);
+    while let Some(at) = next {
+        if let Some(top) = walk.enter(at) {
+            next = Some(top);
             continue;
         }
         if at & LEAF != 0 {
-            let shape = first_shape + (at & !LEAF);
-            let t = match within {
-                None => shape_distance(scene, &walker, shape),
-                Some(instance) => instanced_distance(scene, &walker, instance, at & !LEAF),
-            };
-            if shape != excluded && t < t_max {
+            let hit = walk.leaf(at);
+            if hit.shape != excluded && hit.t < t_max {
                 return true;
             }
-        } else {
-            let met = children_met(bvh, at, &frame, t_max);
-            if met.any {
-                at = met.nearer;
-                if met.both {
-                    waiting.push(met.farther);
-                }
-                continue;
-            }
+        } else if let Some(child) = walk.descend(bvh, at, t_max) {
+            next = Some(child);
+            continue;
         }
-        if within.is_some() && waiting.count == floor {
-            (within, first_shape) = (None, 0);
-            frame = world_frame(ray);
-        }
-        match waiting.pop() {
-            Some(node) => at = node,
-            None => return false,
-        }
+        next = walk.next();
     }
+    false
 }
