@@ -1,7 +1,7 @@
 //! What was learnt, as a file: docs/GUIDE_FORMAT.md. Files are data from anywhere: damaged, truncated or lying ones are
 //! errors, never a panic, and never take memory out of proportion to their own size.
 
-use super::learner::{CellState, Learner, LearnerError, MOST_NODES, NodeState, fixed_point_unit};
+use super::learner::{CellState, Learner, LearnerError, MOST_CELLS_IN_ALL, MOST_NODES, NodeState, fixed_point_unit};
 use super::quadtree::MAX_DEPTH;
 use super::table::{FINER, GuideTable, GuideUniforms, MAX_CELL_LEVELS, NO_CELL};
 use super::{GuideMode, GuideOptions};
@@ -420,7 +420,7 @@ fn check_counts(learner: &Learner) -> Result<(), Fault> {
         return damaged("its index names cells that it does not have");
     }
     match 8 * cells as u64 + 4 * learner.nodes() as u64 {
-        slots if slots < 1 << 31 && learner.nodes() < MOST_NODES => Ok(()),
+        slots if slots < 1 << 31 && learner.nodes() < MOST_NODES && cells <= MOST_CELLS_IN_ALL => Ok(()),
         _ => damaged("it has too many cells"),
     }
 }

@@ -2,8 +2,8 @@
 //! often; quadtrees are cut where light comes from. On the host: there are a dozen passes in a render.
 
 use super::lessons::{LessonLayout, Lessons, VISIT_UNIT};
-use super::quadtree::Node;
-use super::table::{CELL_ROWS, Cell, FINER, GuideTable, GuideUniforms, MAX_CELL_LEVELS, NO_CELL};
+use super::table::{CELL_BITS, Cell, FINER, GuideTable, GuideUniforms, MAX_CELL_LEVELS, NO_CELL};
+use super::tickets::{CellWords, cell_words, lay_out};
 use super::{GuideMode, GuideOptions};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -21,14 +21,14 @@ const SPLIT_SUPPORT: f32 = 64.0;
 const SPLIT_VISITS: f64 = 20000.0;
 /// Visits with which a cell's guide is trusted half.
 const TRUSTED_VISITS: f32 = 256.0;
-/// Bytes of a cell and of a quadtree node, in the table and in the sums of a pass.
-pub(super) const CELL_BYTES: u64 = 16 * CELL_ROWS as u64 + 128;
-pub(super) const NODE_BYTES: u64 = 48;
+/// Bytes of a row of the index, and of a pass's mark for it.
+pub(super) const INDEX_BYTES: u64 = 16 + 4;
 /// Fixed-point units per unit of radiance, as a power of two below the brightest emitter.
 const UNIT_BITS: i32 = 36;
 
-/// Quadtree nodes that a table can number.
+/// Quadtree nodes and cells that a table can number.
 pub(super) const MOST_NODES: usize = 1 << 24;
+pub(super) const MOST_CELLS_IN_ALL: usize = 1 << CELL_BITS;
 
 /// Why a learner can't be made or go on.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -70,7 +70,7 @@ pub(super) struct NodeState {
 }
 
 /// Position of child `i` of a node or cell whose mask has `bits` bits.
-fn child_of(children: u32, bits: u32, i: u32) -> Option<usize> {
+pub(super) fn child_of(children: u32, bits: u32, i: u32) -> Option<usize> {
     let mask = children & ((1 << bits) - 1);
     let before = (mask & ((1 << i) - 1)).count_ones();
     (mask >> i & 1 == 1).then_some(((children >> bits) + before) as usize)
@@ -132,7 +132,7 @@ impl Learner {
             discount: options.discount,
             ..Default::default()
         };
-        let bytes = 8 * u64::from(uniforms.base_words());
+        let bytes = INDEX_BYTES * u64::from(uniforms.base_words());
         if bytes > options.memory {
             return Err(LearnerError::Memory { bytes, limit: options.memory });
         }
@@ -210,7 +210,8 @@ impl Learner {
     fn cut_cells(&mut self, lessons: &Lessons, visits: &[f64], limit: f64) {
         let mut bytes = self.bytes();
         for (cell, &count) in visits.iter().enumerate() {
-            if count <= limit || self.cells[cell].level >= MAX_CELL_LEVELS || bytes > self.options.memory {
+            let full = bytes > self.options.memory || self.cells.len() + 8 > MOST_CELLS_IN_ALL;
+            if count <= limit || self.cells[cell].level >= MAX_CELL_LEVELS || full {
                 continue;
             }
             let met = &lessons.visits[8 * cell..8 * cell + 8];
@@ -220,7 +221,7 @@ impl Learner {
             state.visits.iter_mut().for_each(|v| *v /= parts.len().max(1) as f32);
             let state = state.clone();
             let copies = parts.len().saturating_sub(1) as u64;
-            bytes += 32 + copies * (CELL_BYTES + NODE_BYTES * state.nodes.len() as u64);
+            bytes += 8 * INDEX_BYTES + copies * self.cell_bytes(&state);
             let block = self.index.len() as u32;
             let parent = self.word_of[cell] as usize;
             self.index[parent] = FINER | block;
@@ -238,10 +239,20 @@ impl Learner {
         self.table_bytes() + self.sums_bytes()
     }
 
-    /// Bytes of the table, but for the estimates of the pixels.
+    /// Bytes of the table while it learns, but for the estimates of the pixels.
     pub fn table_bytes(&self) -> u64 {
-        let rows = self.index.len().div_ceil(4) + CELL_ROWS as usize * self.cells.len() + self.nodes();
-        16 * rows as u64
+        let words: u64 = self.cells.par_iter().map(|cell| self.table_words(cell)).sum();
+        16 * self.index.len() as u64 + 4 * words
+    }
+
+    /// Words of a cell in the table while it learns.
+    fn table_words(&self, cell: &CellState) -> u64 {
+        if self.options.mode == GuideMode::Adaptive { 2 * cell_words(cell) } else { 8 }
+    }
+
+    /// Bytes of a cell in the table and in the sums of a pass.
+    fn cell_bytes(&self, cell: &CellState) -> u64 {
+        4 * self.table_words(cell) + 128 + 32 * cell.nodes.len() as u64
     }
 
     /// Bytes of the sums of a pass.
@@ -256,25 +267,32 @@ impl Learner {
 
     /// The table for the next pass. `pixels` are estimates of the pixels' luminances, for learnt roulette.
     pub fn table(&mut self, learning: bool, pixels: &[f32]) -> GuideTable {
+        self.number_nodes();
+        let laid: Vec<CellWords> =
+            self.cells.par_iter().enumerate().with_min_len(64).map(|(i, cell)| self.lay_out(cell, i)).collect();
+        let first_words: Vec<u32> = laid
+            .iter()
+            .scan(0, |end, cell| {
+                let first = *end;
+                *end += cell.words.len() as u32;
+                Some(first)
+            })
+            .collect();
         let mut rows: Vec<[u32; 4]> = self
             .index
-            .chunks(4)
-            .map(|words| std::array::from_fn(|i| words.get(i).copied().unwrap_or(NO_CELL)))
+            .iter()
+            .map(|&word| match word {
+                NO_CELL => [NO_CELL; 4],
+                _ if word & FINER != 0 => [word & !FINER, FINER, 0, 0],
+                cell => self.index_row(cell, &laid[cell as usize], first_words[cell as usize]),
+            })
             .collect();
         let uniforms = &mut self.uniforms;
-        uniforms.cells_at = rows.len() as u32;
-        uniforms.cell_count = self.cells.len() as u32;
-        self.first_node.clear();
-        let mut nodes = 0;
-        for cell in &self.cells {
-            self.first_node.push(nodes);
-            rows.extend(cell_rows(self.options.mode, cell, nodes));
-            nodes += cell.nodes.len() as u32;
-        }
-        uniforms.nodes_at = rows.len() as u32;
-        uniforms.node_count = nodes;
-        for (cell, &first) in self.cells.iter().zip(&self.first_node) {
-            rows.extend(cell.nodes.iter().map(|node| node_row(node, first).row()));
+        uniforms.words_at = rows.len() as u32;
+        put_words(&mut rows, &laid, |cell| &cell.words);
+        uniforms.slots_at = rows.len() as u32;
+        if learning && self.options.mode == GuideMode::Adaptive {
+            put_words(&mut rows, &laid, |cell| &cell.slots);
         }
         uniforms.pixels_at = rows.len() as u32;
         uniforms.learning = learning.into();
@@ -285,33 +303,56 @@ impl Learner {
         );
         GuideTable { uniforms: *uniforms, rows }
     }
+
+    /// Numbers cells and nodes for the next pass.
+    fn number_nodes(&mut self) {
+        let mut nodes = 0;
+        self.first_node.clear();
+        for cell in &self.cells {
+            self.first_node.push(nodes);
+            nodes += cell.nodes.len() as u32;
+        }
+        self.uniforms.cell_count = self.cells.len() as u32;
+        self.uniforms.node_count = nodes;
+    }
+
+    /// What the table has of a cell besides its row of the index.
+    fn lay_out(&self, cell: &CellState, index: usize) -> CellWords {
+        if self.options.mode == GuideMode::Adaptive {
+            let node_slot = 8 * self.uniforms.cell_count + 4 * self.first_node[index];
+            return lay_out(cell, 8 * index as u32, node_slot);
+        }
+        CellWords { log_tickets: 0, words: cell.octants.map(f32::to_bits).to_vec(), slots: Vec::new() }
+    }
+
+    /// How the index tells of a cell.
+    fn index_row(&self, index: u32, laid: &CellWords, at: u32) -> [u32; 4] {
+        let cell = &self.cells[index as usize];
+        let irradiance: f32 = cell.octants.iter().sum();
+        let adaptive = self.options.mode == GuideMode::Adaptive;
+        let visits = if adaptive { cell.visits[0] } else { cell.visits.iter().sum() };
+        let trust = match self.options.mode {
+            _ if irradiance <= 0.0 => 0.0,
+            GuideMode::Adaptive | GuideMode::Octant => visits / (visits + TRUSTED_VISITS),
+            _ => 1.0,
+        };
+        Cell { index, at, log_tickets: laid.log_tickets, irradiance, trust, ..Default::default() }.row()
+    }
 }
 
-/// How a cell lies in the table, its nodes starting at `first_node`.
-fn cell_rows(mode: GuideMode, cell: &CellState, first_node: u32) -> [[u32; 4]; CELL_ROWS as usize] {
-    let irradiance: f32 = cell.octants.iter().sum();
-    let adaptive = mode == GuideMode::Adaptive;
-    let visits = if adaptive { cell.visits[0] } else { cell.visits.iter().sum() };
-    let octants = match adaptive && irradiance > 0.0 {
-        true => cell.octants.map(|energy| energy / irradiance),
-        false => cell.octants,
-    };
-    let trust = match mode {
-        _ if irradiance <= 0.0 => 0.0,
-        GuideMode::Adaptive | GuideMode::Octant => visits / (visits + TRUSTED_VISITS),
-        _ => 1.0,
-    };
-    let roots = if cell.roots & 255 == 0 { 0 } else { cell.roots + (first_node << 8) };
-    Cell { index: 0, octants, roots, irradiance, trust }.rows()
-}
-
-/// How a node lies in the table. Where a half is without energy, it is never chosen, and its split does not matter.
-fn node_row(node: &NodeState, first_node: u32) -> Node {
-    let [a, b, c, d] = node.energies;
-    let share = |part: f32, whole: f32| if whole > 0.0 { part / whole } else { 0.5 };
-    let (low, high) = (a + c, b + d);
-    let children = if node.children & 15 == 0 { 0 } else { node.children + (first_node << 4) };
-    Node { low_phi: share(low, low + high), low_z: [share(a, low), share(b, high)], children }
+/// Appends a part of what was laid out of all cells.
+fn put_words(rows: &mut Vec<[u32; 4]>, laid: &[CellWords], part: impl Fn(&CellWords) -> &[u32] + Sync) {
+    let begin = rows.len();
+    let words: usize = laid.iter().map(|cell| part(cell).len()).sum();
+    rows.resize(begin + words.div_ceil(4), [0; 4]);
+    let mut open = rows[begin..].as_flattened_mut();
+    let mut places = Vec::with_capacity(laid.len());
+    for cell in laid {
+        let (own, rest) = open.split_at_mut(part(cell).len());
+        places.push((own, part(cell)));
+        open = rest;
+    }
+    places.into_par_iter().with_min_len(64).for_each(|(own, words)| own.copy_from_slice(words));
 }
 
 /// What updating a cell needs.

@@ -8,6 +8,7 @@ pub mod lessons;
 pub mod octant;
 pub mod quadtree;
 pub mod table;
+mod tickets;
 
 pub use file::{GuideFileError, VERSION as GUIDE_FILE_VERSION};
 pub use learner::{Learner, LearnerError};
