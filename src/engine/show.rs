@@ -5,7 +5,7 @@ use crate::bsdf::{bsdf_sample, lambert_share};
 use crate::film::{GuideLayers, srgb_to_linear};
 use crate::guiding::octant::octant_shares;
 use crate::guiding::octant::{octant_share, octant_signs};
-use crate::guiding::quadtree::{ticket_depth, ticket_direction};
+use crate::guiding::quadtree::{leaf_depth, ticket_direction};
 use crate::guiding::table::{Cell, NO_CELL, octants};
 use crate::guiding::{GuideMode, GuideTable, Learner};
 use crate::random::{DIMENSION_CAMERA, SampleKey, Sampler, dimension_bsdf, sample4};
@@ -109,7 +109,7 @@ impl Summary {
 fn leaves(table: &GuideTable, cell: &Cell) -> Vec<Part> {
     let tickets: Vec<u32> = (0..1 << cell.log_tickets).map(|i| table.table_word(cell.at + i)).collect();
     let of_leaf = |same: &[u32]| {
-        let area = 0.125 * 0.25f32.powi(ticket_depth(same[0]) as i32);
+        let area = 0.125 * 0.25f32.powi(leaf_depth(same[0]) as i32);
         let probability = same.len() as f32 / tickets.len() as f32;
         Part { probability, area, direction: ticket_direction(same[0], Vec2::splat(0.5)) }
     };

@@ -1,9 +1,12 @@
 //! What was learnt, as a file: docs/GUIDE_FORMAT.md. Files are data from anywhere: damaged, truncated or lying ones are
 //! errors, never a panic, and never take memory out of proportion to their own size.
 
-use super::learner::{CellState, Learner, LearnerError, MOST_CELLS_IN_ALL, MOST_NODES, NodeState, fixed_point_unit};
+use super::learner::{
+    CellState, Learner, LearnerError, MOST_CELLS_IN_ALL, MOST_NODES, NodeState, fixed_point_unit,
+};
 use super::quadtree::MAX_DEPTH;
 use super::table::{FINER, GuideTable, GuideUniforms, MAX_CELL_LEVELS, NO_CELL};
+use super::tickets::MOST_CELL_NODES;
 use super::{GuideMode, GuideOptions};
 use crate::film::{Draft, ImageError};
 use crate::math::fnv1a;
@@ -386,6 +389,9 @@ fn read_cell(
         nodes: Vec::new(),
         level,
     };
+    if count as usize > MOST_CELL_NODES {
+        return damaged("it has a cell with too many nodes");
+    }
     for _ in 0..count {
         let Some(words) = nodes.next() else { return damaged("it has too few nodes") };
         cell.nodes.push(NodeState { energies: energies(&words)?, children: words[4] });

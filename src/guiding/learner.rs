@@ -3,7 +3,7 @@
 
 use super::lessons::{LessonLayout, Lessons, VISIT_UNIT};
 use super::table::{CELL_BITS, Cell, FINER, GuideTable, GuideUniforms, MAX_CELL_LEVELS, NO_CELL};
-use super::tickets::{CellWords, cell_words, lay_out};
+use super::tickets::{CellSize, lay_out};
 use super::{GuideMode, GuideOptions};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -239,15 +239,15 @@ impl Learner {
         self.table_bytes() + self.sums_bytes()
     }
 
-    /// Bytes of the table while it learns, but for the estimates of the pixels.
+    /// Bytes of the table, but for the estimates of the pixels.
     pub fn table_bytes(&self) -> u64 {
         let words: u64 = self.cells.par_iter().map(|cell| self.table_words(cell)).sum();
         16 * self.index.len() as u64 + 4 * words
     }
 
-    /// Words of a cell in the table while it learns.
+    /// Words of a cell in the table.
     fn table_words(&self, cell: &CellState) -> u64 {
-        if self.options.mode == GuideMode::Adaptive { 2 * cell_words(cell) } else { 8 }
+        if self.options.mode == GuideMode::Adaptive { CellSize::of(cell).words() as u64 } else { 8 }
     }
 
     /// Bytes of a cell in the table and in the sums of a pass.
@@ -268,40 +268,57 @@ impl Learner {
     /// The table for the next pass. `pixels` are estimates of the pixels' luminances, for learnt roulette.
     pub fn table(&mut self, learning: bool, pixels: &[f32]) -> GuideTable {
         self.number_nodes();
-        let laid: Vec<CellWords> =
-            self.cells.par_iter().enumerate().with_min_len(64).map(|(i, cell)| self.lay_out(cell, i)).collect();
-        let first_words: Vec<u32> = laid
-            .iter()
+        let adaptive = self.options.mode == GuideMode::Adaptive;
+        let sizes: Vec<CellSize> = match adaptive {
+            true => self.cells.par_iter().with_min_len(64).map(CellSize::of).collect(),
+            false => Vec::new(),
+        };
+        let words_of = |cell: usize| if adaptive { sizes[cell].words() } else { 8 };
+        let ends: Vec<usize> = (0..self.cells.len())
             .scan(0, |end, cell| {
-                let first = *end;
-                *end += cell.words.len() as u32;
-                Some(first)
-            })
-            .collect();
-        let mut rows: Vec<[u32; 4]> = self
-            .index
-            .iter()
-            .map(|&word| match word {
-                NO_CELL => [NO_CELL; 4],
-                _ if word & FINER != 0 => [word & !FINER, FINER, 0, 0],
-                cell => self.index_row(cell, &laid[cell as usize], first_words[cell as usize]),
+                *end += words_of(cell);
+                Some(*end)
             })
             .collect();
         let uniforms = &mut self.uniforms;
-        uniforms.words_at = rows.len() as u32;
-        put_words(&mut rows, &laid, |cell| &cell.words);
-        uniforms.slots_at = rows.len() as u32;
-        if learning && self.options.mode == GuideMode::Adaptive {
-            put_words(&mut rows, &laid, |cell| &cell.slots);
-        }
-        uniforms.pixels_at = rows.len() as u32;
+        uniforms.words_at = self.index.len() as u32;
+        uniforms.pixels_at = uniforms.words_at + ends.last().unwrap_or(&0).div_ceil(4) as u32;
         uniforms.learning = learning.into();
-        rows.extend(
-            pixels
-                .chunks(4)
-                .map(|four| std::array::from_fn(|i| four.get(i).copied().unwrap_or(0.0).to_bits())),
-        );
-        GuideTable { uniforms: *uniforms, rows }
+        // All zeros: pages are first touched by the threads that fill them.
+        let mut rows = vec![[0u32; 4]; uniforms.pixels_at as usize + pixels.len().div_ceil(4)];
+        for (row, &word) in rows.iter_mut().zip(&self.index) {
+            *row = match word {
+                NO_CELL => [NO_CELL; 4],
+                _ if word & FINER != 0 => [word & !FINER, FINER, 0, 0],
+                cell => {
+                    let first = ends[cell as usize] - words_of(cell as usize);
+                    self.index_row(cell, first as u32, sizes.get(cell as usize))
+                }
+            };
+        }
+        self.fill_words(&mut rows[self.index.len()..], words_of, &sizes);
+        for (word, pixel) in
+            rows[self.uniforms.pixels_at as usize..].as_flattened_mut().iter_mut().zip(pixels)
+        {
+            *word = pixel.to_bits();
+        }
+        GuideTable { uniforms: self.uniforms, rows }
+    }
+
+    /// Fills in what cells have besides their rows of the index.
+    fn fill_words(&self, rows: &mut [[u32; 4]], words_of: impl Fn(usize) -> usize, sizes: &[CellSize]) {
+        let mut open = rows.as_flattened_mut();
+        let mut places = Vec::with_capacity(self.cells.len());
+        for (i, cell) in self.cells.iter().enumerate() {
+            let (own, rest) = open.split_at_mut(words_of(i));
+            places.push((cell, self.first_node[i], sizes.get(i), own));
+            open = rest;
+        }
+        let nodes_at = 8 * self.uniforms.cell_count;
+        places.into_par_iter().with_min_len(16).for_each(|(cell, first_node, size, own)| match size {
+            Some(&size) => lay_out(cell, size, nodes_at + 4 * first_node, own),
+            None => own.copy_from_slice(&cell.octants.map(f32::to_bits)),
+        });
     }
 
     /// Numbers cells and nodes for the next pass.
@@ -316,43 +333,20 @@ impl Learner {
         self.uniforms.node_count = nodes;
     }
 
-    /// What the table has of a cell besides its row of the index.
-    fn lay_out(&self, cell: &CellState, index: usize) -> CellWords {
-        if self.options.mode == GuideMode::Adaptive {
-            let node_slot = 8 * self.uniforms.cell_count + 4 * self.first_node[index];
-            return lay_out(cell, 8 * index as u32, node_slot);
-        }
-        CellWords { log_tickets: 0, words: cell.octants.map(f32::to_bits).to_vec(), slots: Vec::new() }
-    }
-
-    /// How the index tells of a cell.
-    fn index_row(&self, index: u32, laid: &CellWords, at: u32) -> [u32; 4] {
+    /// How the index tells of a cell whose words begin at `first`.
+    fn index_row(&self, index: u32, first: u32, size: Option<&CellSize>) -> [u32; 4] {
         let cell = &self.cells[index as usize];
         let irradiance: f32 = cell.octants.iter().sum();
-        let adaptive = self.options.mode == GuideMode::Adaptive;
-        let visits = if adaptive { cell.visits[0] } else { cell.visits.iter().sum() };
+        let visits = if size.is_some() { cell.visits[0] } else { cell.visits.iter().sum() };
         let trust = match self.options.mode {
             _ if irradiance <= 0.0 => 0.0,
             GuideMode::Adaptive | GuideMode::Octant => visits / (visits + TRUSTED_VISITS),
             _ => 1.0,
         };
-        Cell { index, at, log_tickets: laid.log_tickets, irradiance, trust, ..Default::default() }.row()
+        // Before an adaptive cell's tickets comes a word of another kind.
+        let (at, log_tickets) = size.map_or((first, 0), |size| (first + 1, size.log_tickets));
+        Cell { index, at, log_tickets, irradiance, trust, ..Default::default() }.row()
     }
-}
-
-/// Appends a part of what was laid out of all cells.
-fn put_words(rows: &mut Vec<[u32; 4]>, laid: &[CellWords], part: impl Fn(&CellWords) -> &[u32] + Sync) {
-    let begin = rows.len();
-    let words: usize = laid.iter().map(|cell| part(cell).len()).sum();
-    rows.resize(begin + words.div_ceil(4), [0; 4]);
-    let mut open = rows[begin..].as_flattened_mut();
-    let mut places = Vec::with_capacity(laid.len());
-    for cell in laid {
-        let (own, rest) = open.split_at_mut(part(cell).len());
-        places.push((own, part(cell)));
-        open = rest;
-    }
-    places.into_par_iter().with_min_len(64).for_each(|(own, words)| own.copy_from_slice(words));
 }
 
 /// What updating a cell needs.

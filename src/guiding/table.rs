@@ -2,7 +2,7 @@
 //! directions. Flat rows of four words, the same on the CPU and on the GPU. GPU twin: kernels/guiding/table.wesl
 
 use super::octant::{Draws, octant_of, octant_share, pdf_in_octant, sample_in_octant};
-use super::quadtree::{find_leaf, leaf_density, octant_coordinates, ticket_direction};
+use super::quadtree::{find_leaf, leaf_density, leaf_number, octant_coordinates, ticket_direction};
 use crate::gpu_struct;
 use glam::{Vec2, Vec3, Vec4};
 use std::f32::consts::FRAC_1_PI;
@@ -22,8 +22,6 @@ gpu_struct! {
         sectors: u32,
         /// Row of the first word that a cell has learnt; before it lies the index.
         words_at: u32,
-        /// Row of the first slot: adaptive, while transitions are collected, a slot for each word.
-        slots_at: u32,
         /// Row of the pixels' estimates, four to a row.
         pixels_at: u32,
         cell_count: u32,
@@ -42,6 +40,7 @@ gpu_struct! {
         /// 1 while transitions are collected. For the CPU engine: on a GPU, other kernels are linked.
         learning: u32,
         _pad0: u32,
+        _pad1: u32,
     }
 }
 
@@ -98,7 +97,8 @@ pub struct GuideTable {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Cell {
     pub index: u32,
-    /// Its first word in the table. Adaptive: of its tickets, behind which lies the map of its leaves.
+    /// Its first word in the table. Adaptive: of its tickets; behind them lies the map of its leaves, before them the slot
+    /// of its first leaf below an octant.
     pub at: u32,
     /// Adaptive: it has 2^log_tickets tickets.
     pub log_tickets: u32,
@@ -135,11 +135,6 @@ impl GuideTable {
     #[inline]
     pub fn table_word(&self, index: u32) -> u32 {
         self.word_from(self.uniforms.words_at, index)
-    }
-
-    /// The slot that learns what word `index` says a density of; 0 where nothing is learnt.
-    fn slot_of(&self, index: u32) -> u32 {
-        if self.uniforms.learning != 0 { self.word_from(self.uniforms.slots_at, index) } else { 0 }
     }
 
     /// The cell at a surface point. Total: positions outside belong to the cells at the border.
@@ -225,21 +220,27 @@ pub mod adaptive {
     #[inline]
     pub fn density(table: &GuideTable, cell: &Cell, direction: Vec3) -> GuidedDensity {
         let (octant, p) = (octant_of(direction), octant_coordinates(direction));
-        let at = find_leaf(|i| table.table_word(i), cell.at + (1 << cell.log_tickets), octant, p);
-        GuidedDensity { pdf: leaf_density(table.table_word(at), cell.log_tickets), slot: table.slot_of(at) }
+        let leaf = find_leaf(|i| table.table_word(i), cell.at + (1 << cell.log_tickets), octant, p);
+        let slot = leaf_slot(table, cell, leaf_number(leaf));
+        GuidedDensity { pdf: leaf_density(leaf, cell.log_tickets), slot }
     }
 
-    /// A direction with that density, and what the table says of it: by one of the cell's tickets, all of which are as
-    /// likely.
+    fn leaf_slot(table: &GuideTable, cell: &Cell, number: u32) -> u32 {
+        match number {
+            octant @ 0..8 => 8 * cell.index + octant,
+            _ => table.table_word(cell.at - 1) + number - 8,
+        }
+    }
+
+    /// A direction with that density, and the density: by one of the cell's tickets, all of which are as likely.
     #[inline]
-    pub fn sample(table: &GuideTable, cell: &Cell, u: Vec2) -> (Vec3, GuidedDensity) {
+    pub fn sample(table: &GuideTable, cell: &Cell, u: Vec2) -> (Vec3, f32) {
         let tickets = 1 << cell.log_tickets;
         let draw = u.x * tickets as f32;
         let drawn = (draw as u32).min(tickets - 1);
         let ticket = table.table_word(cell.at + drawn);
-        let pdf = leaf_density(ticket, cell.log_tickets);
-        let wi = ticket_direction(ticket, Vec2::new(draw - drawn as f32, u.y));
-        (wi, GuidedDensity { pdf, slot: table.slot_of(cell.at + drawn) })
+        let direction = ticket_direction(ticket, Vec2::new(draw - drawn as f32, u.y));
+        (direction, leaf_density(ticket, cell.log_tickets))
     }
 }
 

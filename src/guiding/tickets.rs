@@ -2,22 +2,45 @@
 //! drawn, and its squares on the map, by which the leaf of a direction is found ([`super::quadtree`]).
 
 use super::learner::{CellState, NodeState, child_of};
-use super::quadtree::{BLOCK_WORDS, FINER_BLOCK, TICKET_BITS, ticket};
+use super::quadtree::{BLOCK_WORDS, FINER_BLOCK, LEAF_BITS, map_word, ticket};
 
 /// Tickets per leaf at least, and of a cell at least and at most, as powers of two. A leaf's share is rounded to whole
 /// tickets, so more of them are more faithful, and take more memory (docs/GUIDING.md has what was measured).
 const LOG_TICKETS_PER_LEAF: u32 = 1;
 const LEAST_LOG_TICKETS: u32 = 4;
 const MOST_LOG_TICKETS: u32 = 11;
+/// Nodes of a cell at most, so that the map can number its leaves.
+pub(super) const MOST_CELL_NODES: usize = (1 << LEAF_BITS) / 4 - 2;
 const OCTANTS: u32 = 8;
 
-/// A cell's words in the table.
-pub(super) struct CellWords {
+/// How many words of each kind a cell has in the table.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct CellSize {
     pub(super) log_tickets: u32,
-    /// Tickets, then the map.
-    pub(super) words: Vec<u32>,
-    /// For each word the slot that learns what it says a density of.
-    pub(super) slots: Vec<u32>,
+    blocks: u32,
+}
+
+impl CellSize {
+    pub(super) fn of(cell: &CellState) -> CellSize {
+        let roots = (cell.roots & 255).count_ones();
+        let mut depths = vec![0u8; roots as usize];
+        // An octant has a block, and so has each node whose squares would be finer than those of the block above it.
+        let (mut leaves, mut blocks) = (OCTANTS - roots, OCTANTS);
+        for (at, node) in cell.nodes.iter().enumerate() {
+            let depth = depths[at];
+            let children = (node.children & 15).count_ones();
+            blocks += u32::from(depth > 0 && depth.is_multiple_of(2));
+            leaves += 4 - children;
+            depths.extend(std::iter::repeat_n(depth + 1, children as usize));
+        }
+        let log_tickets = leaves.next_power_of_two().ilog2() + LOG_TICKETS_PER_LEAF;
+        CellSize { log_tickets: log_tickets.clamp(LEAST_LOG_TICKETS, MOST_LOG_TICKETS), blocks }
+    }
+
+    /// The number of its first leaf below an octant; tickets; the map.
+    pub(super) fn words(&self) -> usize {
+        1 + (1 << self.log_tickets) + (BLOCK_WORDS * self.blocks) as usize
+    }
 }
 
 /// A leaf of a cell's quadtrees.
@@ -27,90 +50,71 @@ struct Leaf {
     /// Its place on the grid of squares of its size.
     square: [u32; 2],
     energy: f32,
-    slot: u32,
+    /// Its number in the cell: octants first, then the quarters of nodes.
+    number: u32,
 }
 
-/// Words of such a cell in the table.
-pub(super) fn cell_words(cell: &CellState) -> u64 {
-    // Each node two levels below another block's has a block of its own.
-    let mut depths = vec![0u32; cell.roots.count_ones().min(OCTANTS) as usize];
-    let mut leaves = u64::from(OCTANTS - (cell.roots & 255).count_ones());
-    let mut blocks = u64::from(OCTANTS);
-    for (at, node) in cell.nodes.iter().enumerate() {
-        let depth = depths[at];
-        let children = (node.children & 15).count_ones();
-        blocks += u64::from(depth > 0 && depth.is_multiple_of(2));
-        leaves += u64::from(4 - children);
-        depths.extend(std::iter::repeat_n(depth + 1, children as usize));
-    }
-    (1 << log_tickets(leaves)) + u64::from(BLOCK_WORDS) * blocks
-}
-
-fn log_tickets(leaves: u64) -> u32 {
-    let fitting = leaves.next_power_of_two().ilog2() + LOG_TICKETS_PER_LEAF;
-    fitting.clamp(LEAST_LOG_TICKETS, MOST_LOG_TICKETS)
-}
-
-/// Lays a cell out. `octant_slot` and `node_slot` are the slots of its first octant and of its first node.
-pub(super) fn lay_out(cell: &CellState, octant_slot: u32, node_slot: u32) -> CellWords {
-    let leaves = leaves(cell, octant_slot, node_slot);
-    let log_tickets = log_tickets(leaves.len() as u64);
-    let tickets = 1usize << log_tickets;
-    let map = tickets + (BLOCK_WORDS * OCTANTS) as usize;
-    let mut laid = CellWords { log_tickets, words: vec![0; map], slots: vec![0; map] };
+/// Fills a cell's words, all of them 0 before. `node_slot` is the slot of its first node's first quarter.
+pub(super) fn lay_out(cell: &CellState, size: CellSize, node_slot: u32, words: &mut [u32]) {
+    let (first, words) = words.split_at_mut(1);
+    first[0] = node_slot;
+    let (tickets, map) = words.split_at_mut(1 << size.log_tickets);
+    let mut map = Map { words: map, blocks: OCTANTS };
+    let leaves = leaves(cell);
     let total: f64 = leaves.iter().map(|leaf| f64::from(leaf.energy)).sum();
     let (mut sum, mut drawn) = (0.0, 0);
     for leaf in &leaves {
-        // Rounded sums: no leaf is more than a ticket off, and none drifts.
+        // Sums are rounded, so no leaf is more than a ticket off, and shares do not drift.
         sum += f64::from(leaf.energy);
-        let end = if total > 0.0 { (tickets as f64 * (sum / total) + 0.5) as usize } else { 0 };
-        let end = end.clamp(drawn, tickets);
-        let word = ticket((end - drawn) as u32, leaf.depth, leaf.square, leaf.octant);
-        laid.words[drawn..end].fill(word);
-        laid.slots[drawn..end].fill(leaf.slot);
-        laid.draw_on_map(leaf, word & ((1 << (TICKET_BITS + 3)) - 1));
+        let end = if total > 0.0 { (tickets.len() as f64 * (sum / total) + 0.5) as usize } else { 0 };
+        let end = end.clamp(drawn, tickets.len());
+        let count = (end - drawn) as u32;
+        tickets[drawn..end].fill(ticket(count, leaf.depth, leaf.square, leaf.octant));
+        map.draw(leaf, map_word(count, leaf.depth, leaf.number));
         drawn = end;
     }
-    laid
 }
 
-impl CellWords {
-    /// Puts a leaf on all the map's squares that it covers, and blocks above where they are missing.
-    fn draw_on_map(&mut self, leaf: &Leaf, word: u32) {
+/// The map while it is drawn.
+struct Map<'a> {
+    words: &'a mut [u32],
+    blocks: u32,
+}
+
+impl Map<'_> {
+    /// Puts a leaf on all squares that it covers, and blocks above where they are missing.
+    fn draw(&mut self, leaf: &Leaf, word: u32) {
         let [x, y] = leaf.square;
-        let map = 1usize << self.log_tickets;
-        let mut block = map + (BLOCK_WORDS * leaf.octant) as usize;
+        let mut block = BLOCK_WORDS * leaf.octant;
         // The depth of the block's squares.
         let mut depth = 2;
         while leaf.depth > depth {
             let shift = leaf.depth - depth;
-            let at = block + ((x >> shift & 3) + 4 * (y >> shift & 3)) as usize;
+            let at = (block + (x >> shift & 3) + 4 * (y >> shift & 3)) as usize;
             if self.words[at] & FINER_BLOCK == 0 {
-                self.words[at] = FINER_BLOCK | ((self.words.len() - map) as u32 / BLOCK_WORDS);
-                self.words.resize(self.words.len() + BLOCK_WORDS as usize, 0);
-                self.slots.resize(self.words.len(), 0);
+                self.words[at] = FINER_BLOCK | self.blocks;
+                self.blocks += 1;
             }
-            block = map + (BLOCK_WORDS * (self.words[at] & !FINER_BLOCK)) as usize;
+            block = BLOCK_WORDS * (self.words[at] & !FINER_BLOCK);
             depth += 2;
         }
         let shift = depth - leaf.depth;
         let (x, y, side) = (x << shift & 3, y << shift & 3, 1 << shift);
         for row in y..y + side {
-            let at = block + (x + 4 * row) as usize;
+            let at = (block + x + 4 * row) as usize;
             self.words[at..at + side as usize].fill(word);
-            self.slots[at..at + side as usize].fill(leaf.slot);
         }
     }
 }
 
 /// The leaves of a cell, octant by octant, neighbours close to each other.
-fn leaves(cell: &CellState, octant_slot: u32, node_slot: u32) -> Vec<Leaf> {
+fn leaves(cell: &CellState) -> Vec<Leaf> {
     let mut leaves = Vec::with_capacity(8 + 3 * cell.nodes.len());
     for octant in 0..OCTANTS {
         let energy = cell.octants[octant as usize];
-        let whole = Leaf { octant, depth: 0, square: [0; 2], energy, slot: octant_slot + octant };
+        let whole = Leaf { octant, depth: 0, square: [0; 2], energy, number: octant };
         match child_of(cell.roots, 8, octant) {
-            Some(root) => add_leaves(cell, root, &whole, node_slot, &mut leaves),
+            Some(root) => add_leaves(cell, root, &whole, &mut leaves),
             None => leaves.push(whole),
         }
     }
@@ -118,7 +122,7 @@ fn leaves(cell: &CellState, octant_slot: u32, node_slot: u32) -> Vec<Leaf> {
 }
 
 /// Adds the leaves below a node in place of the leaf that its square would be.
-fn add_leaves(cell: &CellState, node: usize, whole: &Leaf, node_slot: u32, leaves: &mut Vec<Leaf>) {
+fn add_leaves(cell: &CellState, node: usize, whole: &Leaf, leaves: &mut Vec<Leaf>) {
     let NodeState { energies, children } = cell.nodes[node];
     for quarter in 0..4 {
         let leaf = Leaf {
@@ -126,10 +130,10 @@ fn add_leaves(cell: &CellState, node: usize, whole: &Leaf, node_slot: u32, leave
             depth: whole.depth + 1,
             square: [2 * whole.square[0] + (quarter & 1), 2 * whole.square[1] + (quarter >> 1)],
             energy: energies[quarter as usize],
-            slot: node_slot + 4 * node as u32 + quarter,
+            number: OCTANTS + 4 * node as u32 + quarter,
         };
         match child_of(children, 4, quarter) {
-            Some(child) => add_leaves(cell, child, &leaf, node_slot, leaves),
+            Some(child) => add_leaves(cell, child, &leaf, leaves),
             None => leaves.push(leaf),
         }
     }

@@ -123,13 +123,15 @@ impl Transport<'_> {
         u: Vec2,
         draws: &Draws,
     ) -> (Vec3, GuidedDensity) {
-        if let Some(guidance) = self.guidance.filter(|g| g.mode == GuideMode::Adaptive)
+        // While it teaches, the map tells the leaf, too.
+        let informed = |g: &Guidance| g.mode == GuideMode::Adaptive && g.table.uniforms.learning == 0;
+        if let Some(guidance) = self.guidance.filter(informed)
             && u.x < point.mixture
         {
             let u = Vec2::new(u.x / point.mixture, u.y);
-            let (wi, density) = adaptive::sample(guidance.table, &point.cell, u);
-            let pdf = point.mixture_pdf(pdf_cosine(normal.dot(wi)), density.pdf);
-            return (wi, GuidedDensity { pdf, ..density });
+            let (wi, guided) = adaptive::sample(guidance.table, &point.cell, u);
+            let pdf = point.mixture_pdf(pdf_cosine(normal.dot(wi)), guided);
+            return (wi, GuidedDensity { pdf, slot: 0 });
         }
         let wi = self.guided_direction(point, normal, u, draws);
         (wi, self.guided_density(point, normal, wi))
