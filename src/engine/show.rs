@@ -255,7 +255,7 @@ mod tests {
 
     #[test]
     fn octants_are_seen_by_their_share_of_the_cosine() {
-        let cell = Cell { index: 0, octants: [1.0; 8], roots: 0, irradiance: 1.0, trust: 1.0 };
+        let cell = Cell { octants: [1.0; 8], irradiance: 1.0, trust: 1.0, ..Default::default() };
         let summary = Summary::new(octant_parts(&cell, Vec3::Z));
         assert!((summary.entropy - 1.0).abs() < 1e-5 && summary.direction.normalize().z > 0.999);
         let dark = Cell { octants: [0.0; 8], ..cell };

@@ -6,7 +6,7 @@ use super::quadtree::{BLOCK_WORDS, FINER_BLOCK, LEAF_BITS, map_word, ticket};
 
 /// Tickets per leaf at least, and of a cell at least and at most, as powers of two. A leaf's share is rounded to whole
 /// tickets, so more of them are more faithful, and take more memory (docs/GUIDING.md has what was measured).
-const LOG_TICKETS_PER_LEAF: u32 = 1;
+const LOG_TICKETS_PER_LEAF: u32 = 2;
 const LEAST_LOG_TICKETS: u32 = 4;
 const MOST_LOG_TICKETS: u32 = 11;
 /// Nodes of a cell at most, so that the map can number its leaves.
