@@ -79,7 +79,8 @@ impl Transport<'_> {
     ) -> GuidedDensity {
         match guidance.mode {
             GuideMode::Octant => octants::density(&point.cell, normal, &point.shares, point.mean, wi),
-            _ => adaptive::density(guidance.table, &point.cell, wi),
+            GuideMode::Adaptive => adaptive::density(guidance.table, &point.cell, wi),
+            _ => GuidedDensity { pdf: 0.0, slot: 8 * point.cell.index + octant_of(wi) },
         }
     }
 
