@@ -67,6 +67,15 @@ impl CombinedFilm {
         });
     }
 
+    /// Has all passes so far count `share` of what they counted.
+    pub fn fade(&mut self, share: f64) {
+        for pixel in &mut self.pixels {
+            pixel.mean = pixel.mean.map(|mean| share * mean);
+            pixel.variance = pixel.variance.map(|variance| share * share * variance);
+            pixel.weight *= share;
+        }
+    }
+
     /// The variance of the pass on its way; that of the last pass stands in while there are too few samples to tell.
     fn judge(&mut self, film: &Film, estimates: &[f32]) {
         let passed = |(now, before): (&PixelSum, &PixelSum)| now.count - before.count;
