@@ -210,3 +210,41 @@ fn window_sums(row: &[PixelSum], radius: usize) -> Vec<f64> {
     }
     (0..row.len()).map(|x| below[(x + radius + 1).min(row.len())] - below[x.saturating_sub(radius)]).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A film of two pixels in which pass after pass, as many samples each, brought these values.
+    fn combined(passes: &[(u32, f32)], faded_after: Option<usize>) -> (Film, CombinedFilm) {
+        let mut film = Film::new(2, 1);
+        let mut combined = CombinedFilm::new(&film);
+        for (i, &(samples, value)) in passes.iter().enumerate() {
+            for pixel in film.pixels_mut() {
+                for sample in 0..samples {
+                    // Scattered about the value by a tenth of it.
+                    let scatter = if sample % 2 == 0 { 1.1 } else { 0.9 };
+                    pixel.add([value * scatter; 3].into());
+                }
+            }
+            combined.end_pass(&film, &[1.0; 2], false);
+            if faded_after == Some(i) {
+                combined.fade(0.125);
+            }
+        }
+        (film, combined)
+    }
+
+    #[test]
+    fn faded_passes_count_that_share_of_what_they_counted() {
+        let mean = |faded| combined(&[(64, 1.0), (64, 2.0)], faded).1.pixels[0].combined_mean()[0];
+        let whole = mean(None);
+        assert!((whole - 1.5).abs() < 0.1, "{whole}");
+        let weight = (whole - 1.0) / (2.0 - whole);
+        let expected = (1.0 + 2.0 * 8.0 * weight) / (1.0 + 8.0 * weight);
+        assert!((mean(Some(0)) - expected).abs() < 1e-6, "{} for {expected}", mean(Some(0)));
+        assert!((mean(Some(1)) - whole).abs() < 1e-6, "what fades as a whole stays what it is");
+        let error = |faded| combined(&[(64, 1.0), (64, 2.0)], faded).1.pixels[0].standard_error()[0];
+        assert!((error(Some(1)) / error(None) - 1.0).abs() < 1e-6);
+    }
+}
