@@ -136,7 +136,7 @@ struct EngineArgs {
     instances: InstancesArg,
 
     /// How the wavefront engine runs a level [default: what measured fastest: streamed for meshes of three kinds of
-    /// materials or more, unless something is learnt or --grain is given; else fused]
+    /// materials or more, unless a guide is asked for (auto only tries it) or --grain is given; else fused]
     #[arg(long, value_enum)]
     schedule: Option<ScheduleArg>,
 

@@ -35,7 +35,8 @@ pub fn preferred_engine(scene: &CompiledScene, key: &KernelKey, options: &Render
 /// | chess model (3) | 42.3 | 37.3 | 31.7 | 33.3 |
 /// | glass-shelf (4, no mesh; neither roulette nor direct light) | 94.3 | 91.3 | 134.1 | 188.3 |
 ///
-/// A render that learns was not measured so, and a grain is a number of levels of the fused kernel.
+/// A render that learns is as fast in either (`still-life` guided: 0.863 s fused, 0.889 s streamed), one that only tries to mostly
+/// gives the guide up, and a grain is a number of levels of the fused kernel.
 pub fn preferred_schedule(key: &KernelKey, options: &RenderOptions) -> Schedule {
     let kinds = key.kinds.iter().filter(|&&used| used).count();
     let walks_differ = key.triangles && kinds >= MANY_KINDS;

@@ -131,9 +131,10 @@ pub fn learnt(mode: GuideMode, seed: u32) -> Learnt {
 }
 
 impl Learnt {
-    /// What it was taught: radiance times cosine.
-    pub fn taught(&self, direction: Vec3, normal: Vec3) -> f32 {
-        self.light.radiance(direction) * normal.dot(direction).max(0.0)
+    /// The `i`-th of directions like those of its lessons, and what such a lesson brings.
+    pub fn taught(&self, i: u32, normal: Vec3) -> (Vec3, f32) {
+        let direction = self.light.direction(70, i, normal);
+        (direction, self.light.radiance(direction) * normal.dot(direction))
     }
 
     /// The row of the index that tells of the `i`-th of them.
