@@ -14,6 +14,8 @@ const ESTIMATE_SAMPLES: f64 = 512.0;
 /// What a guided render keeps besides the film.
 pub struct Guided {
     learner: Learner,
+    /// Whether the learner has cells or trees in another shape than the engine.
+    reshaped: bool,
     planner: Planner,
     pass: Pass,
     combined: CombinedFilm,
@@ -49,9 +51,10 @@ impl Guided {
         let pass = planner.first();
         let pixels = uniforms.width * uniforms.height;
         engine.set_pass(&pass)?;
-        engine.set_guide(learner.table(pass.learning, &vec![0.0; pixels as usize]))?;
+        engine.set_guide(&learner.update(pass.learning, true, &vec![0.0; pixels as usize]))?;
         Ok(Some(Guided {
             learner,
+            reshaped: false,
             planner,
             pass,
             combined: CombinedFilm::new(&Film::new(uniforms.width, uniforms.height)),
@@ -84,7 +87,7 @@ impl Guided {
         let taken = samples - self.spent.0;
         let rays_per_path = (rays - self.spent.1) as f64 / (f64::from(taken) * self.pixels);
         if self.pass.teaches() {
-            self.learner.learn(&engine.take_lessons()?, taken);
+            self.reshaped |= self.learner.take_in(engine.commit()?, taken);
         }
         self.planner.judge(&self.pass, self.combined.variance(), rays_per_path);
         self.pass = self.planner.next(samples);
@@ -93,7 +96,8 @@ impl Guided {
         if self.pass.strategy.informed {
             // An estimate of 0 is none: paths end by throughput.
             let known = if samples >= self.mature { estimates } else { vec![0.0; estimates.len()] };
-            engine.set_guide(self.learner.table(self.pass.learning, &known))?;
+            engine.set_guide(&self.learner.update(self.pass.learning, self.reshaped, &known))?;
+            self.reshaped = false;
         }
         Ok(())
     }

@@ -29,7 +29,7 @@ impl MegakernelEngine {
     ) -> Result<Self, RenderError> {
         let first = if gpu.summary.software { 1 << 13 } else { 1 << 16 };
         let mut gpu =
-            GpuFilm::new(gpu, scene, uniforms, keys, |_| Stage::megakernel(), Schedule::Fused, "megakernel")?;
+            GpuFilm::new(gpu, scene, uniforms, keys, Stage::megakernel, Schedule::Fused, "megakernel")?;
         let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC | BufferUsages::COPY_DST;
         gpu.buffers.create(&gpu.gpu, "counters", 4 * u64::from(counter_words(&keys.own)), usage)?;
         let (lengths, grain) = (PathLengths::default(), options.grain);

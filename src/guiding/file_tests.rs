@@ -80,7 +80,7 @@ fn what_was_learnt_comes_back_as_it_was() {
         assert_eq!((after.mode(), after.cells(), after.nodes()), (mode, before.cells(), before.nodes()));
         assert_eq!((after.passes(), after.samples(), after.scene()), (4, 4, 7 ^ 0xabcd));
         let unit = fixed_point_unit(10.0);
-        let mut resumed = after.resumed(*before.options(), 10.0).unwrap();
+        let resumed = after.resumed(*before.options(), 10.0).unwrap();
         let (table, expected) = (resumed.table(true, &[0.5]), before.clone().table(true, &[0.5]));
         assert_eq!((table.uniforms, table.rows), (expected.uniforms, expected.rows));
         assert_eq!(table.uniforms.unit, unit);

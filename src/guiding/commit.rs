@@ -1,0 +1,207 @@
+//! The commit: sums of a pass → what is known, and how it lies in the table. The CPU engine's; GPU twin:
+//! kernels/guiding/commit.wesl, which does the same operations on f32.
+//!
+//! How exact it is: a 64-bit sum becomes an f32 with a relative error of 1.2·10⁻⁷ at most, and the blend adds five roundings
+//! of 6·10⁻⁸. That is far below the noise of what is learnt; it is the same in every run, since sums are whole numbers. GPUs
+//! may divide less exactly and fuse products into sums, so tables of different adapters differ in their last digits.
+
+use super::lessons::{Lessons, VISIT_UNIT};
+use super::quadtree::Node;
+use super::state::{CellPart, CellState, CellTrees, GuideState, NodeState, Row, TableRows};
+use super::table::{CELL_ROWS, Cell};
+use super::{GuideMode, GuideUniforms};
+use rayon::prelude::*;
+
+const TWO_TO_32: f32 = 4_294_967_296.0;
+/// Visits with which a cell's guide is trusted half.
+pub const TRUSTED_VISITS: f32 = 256.0;
+/// Cells that a thread takes at once.
+const CELLS_AT_ONCE: usize = 64;
+
+/// Takes in a pass's lessons, and lays out what is known then in `rows`. Adaptive: how often each eighth of each cell was met;
+/// else nothing.
+pub fn commit(
+    mode: GuideMode,
+    uniforms: &GuideUniforms,
+    lessons: &Lessons,
+    state: &mut GuideState,
+    mut rows: TableRows,
+) -> Vec<[f32; 8]> {
+    let commit = Commit { mode, uniforms, lessons };
+    let parts = state.parts(&mut rows);
+    let cells = parts.into_par_iter().with_min_len(CELLS_AT_ONCE);
+    let met = cells.map(|mut part| commit.commit_cell(&mut part));
+    match mode {
+        GuideMode::Adaptive => met.collect(),
+        _ => {
+            met.for_each(drop);
+            Vec::new()
+        }
+    }
+}
+
+/// The sum as an f32, by its words as the GPU has them.
+fn sum_of(sum: u64) -> f32 {
+    (sum >> 32) as u32 as f32 * TWO_TO_32 + sum as u32 as f32
+}
+
+/// What was known, of whose weight `kept` is left, with the sum of a pass; `weight` is that of both. In this order no step
+/// is too large or too small for an f32 where the result is not.
+fn blend(known: f32, kept: f32, units: f32, weight: f32, radiance_of_unit: f32) -> f32 {
+    known * (kept / weight) + units / weight * radiance_of_unit
+}
+
+/// The sum of a row, from its first number on.
+fn sum_of_row([x, y, z, w]: [f32; 4]) -> f32 {
+    x + y + z + w
+}
+
+/// The sum of two rows.
+fn sum_of_rows(values: &[f32; 8]) -> f32 {
+    let [a, b, c, d, e, f, g, h] = *values;
+    sum_of_row([a, b, c, d]) + sum_of_row([e, f, g, h])
+}
+
+/// What committing needs.
+struct Commit<'a> {
+    mode: GuideMode,
+    uniforms: &'a GuideUniforms,
+    lessons: &'a Lessons,
+}
+
+impl Commit<'_> {
+    /// The value of a slot, in units.
+    fn value_at(&self, slot: usize) -> f32 {
+        sum_of(self.lessons.values[slot])
+    }
+
+    /// A counter of visits.
+    fn visits_at(&self, counter: usize) -> f32 {
+        sum_of(self.lessons.visits[counter]) * (1.0 / VISIT_UNIT)
+    }
+
+    /// Radiance per unit. Units are powers of two, so their exponent tells, without a division that a GPU may round as it
+    /// likes.
+    fn radiance_of_unit(&self) -> f32 {
+        f32::from_bits(0x7f00_0000 - self.uniforms.unit.to_bits())
+    }
+
+    /// Commits a pass's lessons about a cell. Adaptive: how often its eighths were met.
+    fn commit_cell(&self, part: &mut CellPart) -> [f32; 8] {
+        let mut met = [0.0; 8];
+        match self.mode {
+            GuideMode::Adaptive => met = self.commit_quadtrees(part),
+            GuideMode::Octant => self.commit_octants(part),
+            _ => self.commit_bansal(part),
+        }
+        *part.cell_rows = cell_rows(self.mode, part.cell, &part.trees);
+        met
+    }
+
+    /// Q ← mean(T) weighted by the cosine over the density, over this pass and what earlier ones are still worth.
+    fn commit_octants(&self, part: &mut CellPart) {
+        let (cell, unit) = (&mut *part.cell, self.radiance_of_unit());
+        for a in 0..8 {
+            let (value, visits) = (self.value_at(8 * part.index + a), self.visits_at(8 * part.index + a));
+            if visits > 0.0 {
+                let kept = self.uniforms.memory * cell.visits[a];
+                cell.octants[a] = blend(cell.octants[a], kept, value, kept + visits, unit);
+                cell.visits[a] = kept + visits;
+            }
+        }
+    }
+
+    /// n updates Q ← (1 − α)·Q + α·T at once, n visits.
+    fn commit_bansal(&self, part: &mut CellPart) {
+        for (a, known) in part.cell.octants.iter_mut().enumerate() {
+            let (value, visits) = (self.value_at(8 * part.index + a), self.visits_at(8 * part.index + a));
+            if visits > 0.0 {
+                let mean = value / visits * self.radiance_of_unit();
+                let share = share_of_visits(visits, self.uniforms.memory);
+                *known = (1.0 - share) * *known + share * mean;
+            }
+        }
+    }
+
+    /// Leaves blend; nodes add up what lies below them, deepest first: the nodes of a cell lie breadth first. Where the cell
+    /// was not met, nothing changes, and its nodes are laid out as they are. How often the cell's eighths were met.
+    fn commit_quadtrees(&self, part: &mut CellPart) -> [f32; 8] {
+        let (index, first) = (part.index, part.trees.first_node);
+        let met: [f32; 8] = std::array::from_fn(|eighth| self.visits_at(8 * index + eighth));
+        let visits = sum_of_rows(&met);
+        let kept = self.uniforms.memory * part.cell.visits[0];
+        let weight = kept + visits;
+        let unit = self.radiance_of_unit();
+        let learn = |known: f32, slot: usize| blend(known, kept, self.value_at(slot), weight, unit);
+        let node_slots = 8 * self.uniforms.cell_count as usize + 4 * first as usize;
+        for i in (0..part.nodes.len()).rev() {
+            if visits > 0.0 {
+                part.nodes[i] = std::array::from_fn(|q| {
+                    let leaf = learn(part.nodes[i][q], node_slots + 4 * i + q);
+                    energy_below(leaf, part.nodes, child_of(part.children[i], 4, q as u32))
+                });
+            }
+            part.node_rows[i] = node_row(&part.nodes[i], part.children[i], first).row();
+        }
+        if visits > 0.0 {
+            let roots = part.trees.roots;
+            part.cell.octants = std::array::from_fn(|a| {
+                let leaf = learn(part.cell.octants[a], 8 * index + a);
+                energy_below(leaf, part.nodes, child_of(roots, 8, a as u32))
+            });
+            part.cell.visits = [weight; 8];
+        }
+        met
+    }
+}
+
+/// 1 − (1 − α)ⁿ, where `memory` is −ln(1 − α). A series where that is small, since the difference would lose digits.
+fn share_of_visits(visits: f32, memory: f32) -> f32 {
+    let x = (visits * memory).min(100.0);
+    if x > 0.25 {
+        return 1.0 - (-x).exp();
+    }
+    let tail = 1.0 - x * 0.25 * (1.0 - x * 0.2 * (1.0 - x * (1.0 / 6.0)));
+    x * (1.0 - x * 0.5 * (1.0 - x * (1.0 / 3.0) * tail))
+}
+
+/// The energy of a node of a cell; `leaf` where there is none.
+fn energy_below(leaf: f32, nodes: &[NodeState], child: Option<usize>) -> f32 {
+    child.map_or(leaf, |child| sum_of_row(nodes[child]))
+}
+
+/// Position of child `i` of a node or cell whose mask has `bits` bits, None if it is a leaf.
+pub(super) fn child_of(children: u32, bits: u32, i: u32) -> Option<usize> {
+    let mask = children & ((1 << bits) - 1);
+    let before = (mask & ((1 << i) - 1)).count_ones();
+    (mask >> i & 1 == 1).then_some(((children >> bits) + before) as usize)
+}
+
+/// How a cell lies in the table.
+pub(super) fn cell_rows(mode: GuideMode, cell: &CellState, trees: &CellTrees) -> [Row; CELL_ROWS as usize] {
+    let irradiance = sum_of_rows(&cell.octants);
+    let adaptive = mode == GuideMode::Adaptive;
+    let visits = if adaptive { cell.visits[0] } else { sum_of_rows(&cell.visits) };
+    let scale = if adaptive && irradiance > 0.0 { irradiance } else { 1.0 };
+    let trust = match mode {
+        _ if irradiance <= 0.0 => 0.0,
+        GuideMode::Adaptive | GuideMode::Octant => visits / (visits + TRUSTED_VISITS),
+        _ => 1.0,
+    };
+    let mask = trees.roots & 255;
+    let roots = if mask == 0 { 0 } else { mask + (trees.first_node << 8) };
+    Cell { index: 0, octants: cell.octants.map(|energy| energy / scale), roots, irradiance, trust }.rows()
+}
+
+/// How a node lies in the table.
+pub(super) fn node_row(energies: &NodeState, children: u32, first: u32) -> Node {
+    let [a, b, c, d] = *energies;
+    let (low, high) = (a + c, b + d);
+    let below = if children & 15 == 0 { 0 } else { children + (first << 4) };
+    Node { low_phi: share_of(low, low + high), low_z: [share_of(a, low), share_of(b, high)], children: below }
+}
+
+/// A part of a whole. Where that is nothing it is never chosen, and how it splits does not matter.
+fn share_of(part: f32, whole: f32) -> f32 {
+    if whole > 0.0 { part / whole } else { 0.5 }
+}
