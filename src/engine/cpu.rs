@@ -54,6 +54,12 @@ impl CpuEngine {
         CpuEngine { scene, uniforms, estimators, strategy, guide: None, stats }
     }
 
+    /// Rows of the table in place.
+    #[cfg(test)]
+    pub(super) fn guide_rows(&self) -> Vec<crate::guiding::state::Row> {
+        self.guide.as_ref().map(|guide| guide.table.rows.clone()).unwrap_or_default()
+    }
+
     /// One pass: the samples `range` of every pixel, rows in parallel.
     fn pass(&self, range: &Range<u32>, film: &mut Film, cancel: &CancelToken) -> Spent {
         let width = self.uniforms.width as usize;

@@ -113,3 +113,7 @@ impl Guided {
         &self.learner
     }
 }
+
+#[cfg(test)]
+#[path = "guided_tests.rs"]
+mod tests;

@@ -15,6 +15,8 @@ use rayon::prelude::*;
 const TWO_TO_32: f32 = 4_294_967_296.0;
 /// Visits with which a cell's guide is trusted half.
 pub const TRUSTED_VISITS: f32 = 256.0;
+/// exp(−80) of anything is nothing; less than that might not be a number of an adapter's.
+const MOST_FORGOTTEN: f32 = 80.0;
 /// Cells that a thread takes at once.
 const CELLS_AT_ONCE: usize = 64;
 
@@ -117,8 +119,7 @@ impl Commit<'_> {
             let (value, visits) = (self.value_at(8 * part.index + a), self.visits_at(8 * part.index + a));
             if visits > 0.0 {
                 let mean = value / visits * self.radiance_of_unit();
-                let share = share_of_visits(visits, self.uniforms.memory);
-                *known = (1.0 - share) * *known + share * mean;
+                *known = updated(*known, mean, visits * self.uniforms.memory);
             }
         }
     }
@@ -155,14 +156,15 @@ impl Commit<'_> {
     }
 }
 
-/// 1 − (1 − α)ⁿ, where `memory` is −ln(1 − α). A series where that is small, since the difference would lose digits.
-fn share_of_visits(visits: f32, memory: f32) -> f32 {
-    let x = (visits * memory).min(100.0);
-    if x > 0.25 {
-        return 1.0 - (-x).exp();
-    }
+/// (1 − α)ⁿ · known + (1 − (1 − α)ⁿ) · mean, where `forgotten` is −n · ln(1 − α). The second share is a series where it is
+/// small, since the difference would lose digits.
+fn updated(known: f32, mean: f32, forgotten: f32) -> f32 {
+    let x = forgotten.min(MOST_FORGOTTEN);
     let tail = 1.0 - x * 0.25 * (1.0 - x * 0.2 * (1.0 - x * (1.0 / 6.0)));
-    x * (1.0 - x * 0.5 * (1.0 - x * (1.0 / 3.0) * tail))
+    let series = x * (1.0 - x * 0.5 * (1.0 - x * (1.0 / 3.0) * tail));
+    let kept = if x < 0.25 { 1.0 - series } else { (-x).exp() };
+    let rest = if x < 0.25 { series } else { 1.0 - kept };
+    kept * known + rest * mean
 }
 
 /// The energy of a node of a cell; `leaf` where there is none.
