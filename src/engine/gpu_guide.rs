@@ -21,6 +21,7 @@ pub struct GpuLessons {
     nodes: u32,
     /// What is known comes to the host here. Kept from pass to pass: new ones cost page faults.
     staging: Option<wgpu::Buffer>,
+    pending: Option<Commit>,
 }
 
 impl GpuFilm {
@@ -124,37 +125,52 @@ impl GpuFilm {
         pass.dispatch_workgroups(groups.min(GRID_WIDTH), groups.div_ceil(GRID_WIDTH), 1);
     }
 
-    /// Commits what was learnt since the guide was put in place, and fetches what is known then.
-    pub fn commit(&mut self) -> Result<Committed, RenderError> {
-        if !self.is_bound("guide_rows") {
-            return Ok(Committed::default());
+    /// Has the GPU commit what was learnt since the guide was put in place, and send what is known then on its way to the host.
+    pub fn begin_commit(&mut self) {
+        if !self.is_bound("guide_rows") || self.lessons.pending.is_some() {
+            return;
         }
         let (known, layout) = (self.lessons.state_bytes(self.met_bytes()), self.lessons.layout);
-        let bytes = known + 4 * u64::from(layout.missing);
+        let missing = 4 * u64::from(layout.missing);
         let staging = match self.lessons.staging.take() {
-            Some(staging) if staging.size() >= bytes => staging,
-            _ => self.staging(bytes + bytes / 2),
+            Some(staging) if staging.size() >= known + missing => staging,
+            _ => self.staging(known + missing + known / 2),
         };
         let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
         self.record_commit(&mut encoder);
         encoder.copy_buffer_to_buffer(self.buffers.get("guide_state"), 0, &staging, 0, known);
-        let missing_at = 4 * (layout.words() - u64::from(layout.missing));
-        let missing = 4 * u64::from(layout.missing);
+        let missing_at = 4 * layout.words() - missing;
         encoder.copy_buffer_to_buffer(self.buffers.get("lessons"), missing_at, &staging, known, missing);
         let submission = self.gpu.queue.submit([encoder.finish()]);
-        staging.map_async(wgpu::MapMode::Read, ..bytes, |_| ());
-        self.gpu.wait_for(submission)?;
-        let view = staging.slice(..bytes).get_mapped_range();
+        staging.map_async(wgpu::MapMode::Read, ..known + missing, |_| ());
+        self.lessons.pending = Some(Commit { submission, staging, known, bytes: known + missing });
+    }
+
+    /// Commits what was learnt since the guide was put in place, unless that has begun, and fetches what is known then.
+    pub fn commit(&mut self) -> Result<Committed, RenderError> {
+        self.begin_commit();
+        let Some(commit) = self.lessons.pending.take() else { return Ok(Committed::default()) };
+        self.gpu.wait_for(commit.submission)?;
+        let view = commit.staging.slice(..commit.bytes).get_mapped_range();
         let view = view.map_err(|e| GpuError::DeviceLost {
             adapter: self.gpu.summary.name.clone(),
             reason: e.to_string(),
         })?;
-        let committed = self.lessons.committed(&view, known);
+        let committed = self.lessons.committed(&view, commit.known);
         drop(view);
-        staging.unmap();
-        self.lessons.staging = Some(staging);
+        commit.staging.unmap();
+        self.lessons.staging = Some(commit.staging);
         Ok(committed)
     }
+}
+
+/// A commit on its way, and the bytes that it brings back: those of what is known, and all.
+#[derive(Debug)]
+struct Commit {
+    submission: wgpu::SubmissionIndex,
+    staging: wgpu::Buffer,
+    known: u64,
+    bytes: u64,
 }
 
 impl GpuLessons {

@@ -81,6 +81,9 @@ impl Guided {
         if samples < self.pass.end {
             return Ok(());
         }
+        if self.pass.teaches() {
+            engine.begin_commit();
+        }
         let estimates = rough_luminances(film, ESTIMATE_SAMPLES);
         self.combined.end_pass(film, &estimates, self.pass.trial);
         let rays = engine.stats().rays;

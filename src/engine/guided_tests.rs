@@ -41,6 +41,9 @@ impl<E: Engine> Engine for Watched<E> {
         self.anew.push(update.anew.is_some());
         self.engine.set_guide(update)
     }
+    fn begin_commit(&mut self) {
+        self.engine.begin_commit();
+    }
     fn commit(&mut self) -> Result<Committed, RenderError> {
         self.engine.commit()
     }

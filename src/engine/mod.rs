@@ -71,6 +71,9 @@ pub trait Engine: Send {
     /// Puts a table in place: from now on it guides paths, and what they teach is added up from zero.
     fn set_guide(&mut self, update: &GuideUpdate) -> Result<(), RenderError>;
 
+    /// Begins [`Engine::commit`] where that can go on while the caller does other things.
+    fn begin_commit(&mut self) {}
+
     /// Commits what paths taught since the table was put in place: what is known now, which the engine keeps, too.
     fn commit(&mut self) -> Result<Committed, RenderError>;
 

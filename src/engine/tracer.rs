@@ -65,6 +65,10 @@ impl<T: Tracer> Engine for T {
         Ok(())
     }
 
+    fn begin_commit(&mut self) {
+        self.gpu_mut().begin_commit();
+    }
+
     fn commit(&mut self) -> Result<Committed, RenderError> {
         self.gpu_mut().commit()
     }

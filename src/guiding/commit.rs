@@ -64,6 +64,16 @@ fn sum_of_rows(values: &[f32; 8]) -> f32 {
     sum_of_row([a, b, c, d]) + sum_of_row([e, f, g, h])
 }
 
+/// How often a cell was met.
+struct Met {
+    eighths: [f32; 8],
+    /// In all.
+    visits: f32,
+    /// What is left of the cell's weight, and that with the visits.
+    kept: f32,
+    weight: f32,
+}
+
 /// What committing needs.
 struct Commit<'a> {
     mode: GuideMode,
@@ -92,7 +102,11 @@ impl Commit<'_> {
     fn commit_cell(&self, part: &mut CellPart) -> [f32; 8] {
         let mut met = [0.0; 8];
         match self.mode {
-            GuideMode::Adaptive => met = self.commit_quadtrees(part),
+            GuideMode::Adaptive => {
+                self.blend_leaves(part);
+                met = self.commit_quadtrees(part);
+                lay_out_nodes(part.nodes, part.children, part.trees.first_node, part.node_rows);
+            }
             GuideMode::Octant => self.commit_octants(part),
             _ => self.commit_bansal(part),
         }
@@ -124,35 +138,50 @@ impl Commit<'_> {
         }
     }
 
-    /// Leaves blend; nodes add up what lies below them, deepest first: the nodes of a cell lie breadth first. Where the cell
-    /// was not met, nothing changes, and its nodes are laid out as they are. How often the cell's eighths were met.
-    fn commit_quadtrees(&self, part: &mut CellPart) -> [f32; 8] {
-        let (index, first) = (part.index, part.trees.first_node);
-        let met: [f32; 8] = std::array::from_fn(|eighth| self.visits_at(8 * index + eighth));
-        let visits = sum_of_rows(&met);
+    fn met_of(&self, part: &CellPart) -> Met {
+        let eighths: [f32; 8] = std::array::from_fn(|eighth| self.visits_at(8 * part.index + eighth));
+        let visits = sum_of_rows(&eighths);
         let kept = self.uniforms.memory * part.cell.visits[0];
-        let weight = kept + visits;
-        let unit = self.radiance_of_unit();
-        let learn = |known: f32, slot: usize| blend(known, kept, self.value_at(slot), weight, unit);
-        let node_slots = 8 * self.uniforms.cell_count as usize + 4 * first as usize;
-        for i in (0..part.nodes.len()).rev() {
-            if visits > 0.0 {
-                part.nodes[i] = std::array::from_fn(|q| {
-                    let leaf = learn(part.nodes[i][q], node_slots + 4 * i + q);
-                    energy_below(leaf, part.nodes, child_of(part.children[i], 4, q as u32))
-                });
+        Met { eighths, visits, kept, weight: kept + visits }
+    }
+
+    /// Leaves blend. Where the cell was not met, nothing changes.
+    fn blend_leaves(&self, part: &mut CellPart) {
+        let (met, unit) = (self.met_of(part), self.radiance_of_unit());
+        if met.visits > 0.0 {
+            let first_slot = 8 * self.uniforms.cell_count as usize + 4 * part.trees.first_node as usize;
+            for (known, slot) in part.nodes.as_flattened_mut().iter_mut().zip(first_slot..) {
+                *known = blend(*known, met.kept, self.value_at(slot), met.weight, unit);
             }
-            part.node_rows[i] = node_row(&part.nodes[i], part.children[i], first).row();
         }
-        if visits > 0.0 {
-            let roots = part.trees.roots;
-            part.cell.octants = std::array::from_fn(|a| {
-                let leaf = learn(part.cell.octants[a], 8 * index + a);
-                energy_below(leaf, part.nodes, child_of(roots, 8, a as u32))
+    }
+
+    /// Nodes, and octants that have one, add up what lies below them, deepest first: the nodes of a cell lie breadth first.
+    /// How often the cell's eighths were met.
+    fn commit_quadtrees(&self, part: &mut CellPart) -> [f32; 8] {
+        let (met, unit) = (self.met_of(part), self.radiance_of_unit());
+        if met.visits <= 0.0 {
+            return met.eighths;
+        }
+        for i in (0..part.nodes.len()).rev().filter(|&i| part.children[i] & 15 != 0) {
+            part.nodes[i] = std::array::from_fn(|q| {
+                energy_below(part.nodes[i][q], part.nodes, child_of(part.children[i], 4, q as u32))
             });
-            part.cell.visits = [weight; 8];
         }
-        met
+        part.cell.octants = std::array::from_fn(|a| {
+            let value = self.value_at(8 * part.index + a);
+            let leaf = blend(part.cell.octants[a], met.kept, value, met.weight, unit);
+            energy_below(leaf, part.nodes, child_of(part.trees.roots, 8, a as u32))
+        });
+        part.cell.visits = [met.weight; 8];
+        met.eighths
+    }
+}
+
+/// Lays out the nodes of a cell, the first of which is number `first` of all.
+pub(super) fn lay_out_nodes(nodes: &[NodeState], children: &[u32], first: u32, rows: &mut [Row]) {
+    for ((row, energies), &children) in rows.iter_mut().zip(nodes).zip(children) {
+        *row = node_row(energies, children, first).row();
     }
 }
 
@@ -196,7 +225,7 @@ pub(super) fn cell_rows(mode: GuideMode, cell: &CellState, trees: &CellTrees) ->
 }
 
 /// How a node lies in the table.
-pub(super) fn node_row(energies: &NodeState, children: u32, first: u32) -> Node {
+fn node_row(energies: &NodeState, children: u32, first: u32) -> Node {
     let [a, b, c, d] = *energies;
     let (low, high) = (a + c, b + d);
     let below = if children & 15 == 0 { 0 } else { children + (first << 4) };

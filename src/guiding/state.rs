@@ -1,7 +1,7 @@
 //! What is known of all cells, flat: numbers that a pass changes, and what the trees look like, which changes between passes.
 //! The GPU's buffers `guide_state` and `guide_trees` hold the same (kernels/guiding/commit.wesl).
 
-use super::commit::{cell_rows, node_row};
+use super::commit::{cell_rows, lay_out_nodes};
 use super::table::CELL_ROWS;
 use super::{GuideMode, GuideUniforms};
 use bytemuck::{Pod, Zeroable};
@@ -133,10 +133,8 @@ impl GuideState {
             |trees: &CellTrees| (*trees, node_rows.split_off_mut(..trees.nodes as usize).unwrap_or_default());
         let parts: Vec<(CellTrees, &mut [Row])> = self.trees.iter().map(part).collect();
         parts.into_par_iter().with_min_len(CELLS_AT_ONCE).for_each(|(trees, rows)| {
-            let nodes = self.nodes[trees.range()].iter().zip(&self.children[trees.range()]);
-            for (row, (energies, &children)) in rows.iter_mut().zip(nodes) {
-                *row = node_row(energies, children, trees.first_node).row();
-            }
+            let range = trees.range();
+            lay_out_nodes(&self.nodes[range.clone()], &self.children[range], trees.first_node, rows);
         });
     }
 }
