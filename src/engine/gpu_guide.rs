@@ -9,6 +9,7 @@ use crate::gpu::stage::{CELLS_AT_ONCE, GRID_WIDTH, Stage};
 use crate::guiding::state::{CELL_STATE_ROWS, CellState, CellTrees, Committed, NodeState};
 use crate::guiding::table::NO_CELL;
 use crate::guiding::{GuideMode, GuideUniforms, GuideUpdate, LessonLayout};
+use rayon::prelude::*;
 use std::mem::size_of_val;
 use wgpu::{BufferUsages, CommandEncoder};
 
@@ -186,9 +187,21 @@ impl GpuLessons {
         let (nodes, met) = known.split_at(size_of::<NodeState>() * self.nodes as usize);
         Committed {
             cells: bytemuck::pod_collect_to_vec(cells),
-            nodes: bytemuck::pod_collect_to_vec(nodes),
+            nodes: collected(nodes),
             met: bytemuck::pod_collect_to_vec(met),
             missing: bytemuck::pod_collect_to_vec(missing),
         }
     }
+}
+
+/// Bytes per thread.
+const COPIED_AT_ONCE: usize = 1 << 18;
+
+/// Rows out of bytes, of which there may be tens of megabytes.
+fn collected(bytes: &[u8]) -> Vec<NodeState> {
+    let mut rows = vec![[0.0; 4]; bytes.len() / size_of::<NodeState>()];
+    let copied: &mut [u8] = bytemuck::cast_slice_mut(&mut rows);
+    let parts = copied.par_chunks_mut(COPIED_AT_ONCE).zip(bytes.par_chunks(COPIED_AT_ONCE));
+    parts.for_each(|(to, from)| to.copy_from_slice(from));
+    rows
 }

@@ -4,7 +4,7 @@
 use super::GuideMode;
 use super::commit::child_of;
 use super::learner::{CELL_BYTES, Learner, MOST_NODES, NODE_BYTES};
-use super::state::{CellState, GuideState, NodeState};
+use super::state::{CellState, CellTrees, GuideState, NodeState};
 use super::table::{FINER, MAX_CELL_LEVELS};
 use rayon::prelude::*;
 
@@ -43,19 +43,7 @@ impl Learner {
         if regrown.iter().all(Option::is_none) {
             return false;
         }
-        let old = std::mem::take(&mut self.state);
-        self.state.nodes.reserve(old.nodes.len() + old.nodes.len() / 2);
-        self.state.children.reserve(old.nodes.len() + old.nodes.len() / 2);
-        for (cell, regrown) in regrown.into_iter().enumerate() {
-            let nodes = old.trees[cell].range();
-            match regrown {
-                None => {
-                    let (nodes, children) = (&old.nodes[nodes.clone()], &old.children[nodes]);
-                    self.state.push(old.cells[cell], old.trees[cell].roots, nodes, children);
-                }
-                Some(trees) => self.state.push(old.cells[cell], trees.roots, &trees.nodes, &trees.children),
-            }
-        }
+        self.state.regrow(&regrown);
         true
     }
 
@@ -92,6 +80,45 @@ impl Learner {
 /// How often a cell was met.
 fn visits(met: &[f32; 8]) -> f32 {
     met.iter().sum()
+}
+
+impl GuideState {
+    /// Puts trees of new shapes in place, cell by cell. Copies are made in parallel, into memory that is new to each thread:
+    /// there may be tens of megabytes.
+    fn regrow(&mut self, regrown: &[Option<Trees>]) {
+        let mut trees = Vec::with_capacity(self.trees.len());
+        let mut count = 0;
+        for (old, new) in self.trees.iter().zip(regrown) {
+            let (roots, nodes) =
+                new.as_ref().map_or((old.roots, old.nodes), |t| (t.roots, t.nodes.len() as u32));
+            trees.push(CellTrees { roots, first_node: count, nodes });
+            count += nodes;
+        }
+        let (mut nodes, mut children) = (vec![[0.0; 4]; count as usize], vec![0; count as usize]);
+        let (mut free_nodes, mut free_children) = (nodes.as_mut_slice(), children.as_mut_slice());
+        let places: Vec<_> = trees
+            .iter()
+            .map(|cell| {
+                let range = ..cell.nodes as usize;
+                let nodes = free_nodes.split_off_mut(range).unwrap_or_default();
+                (nodes, free_children.split_off_mut(range).unwrap_or_default())
+            })
+            .collect();
+        places.into_par_iter().enumerate().with_min_len(64).for_each(|(cell, (nodes, children))| {
+            let range = self.trees[cell].range();
+            match &regrown[cell] {
+                Some(trees) => {
+                    nodes.copy_from_slice(&trees.nodes);
+                    children.copy_from_slice(&trees.children);
+                }
+                None => {
+                    nodes.copy_from_slice(&self.nodes[range.clone()]);
+                    children.copy_from_slice(&self.children[range]);
+                }
+            }
+        });
+        (self.nodes, self.children, self.trees) = (nodes, children, trees);
+    }
 }
 
 /// A cell's trees in a new shape.

@@ -270,14 +270,14 @@ fn commits_are_the_same_on_the_gpu() {
 }
 
 /// The energy below a part of a cell in f64, leaves by [`blended`].
-fn energy_below(case: &Case, children: &[u32], child: u32, leaf: &dyn Fn(usize, usize) -> f64) -> f64 {
+fn energy_below(children: &[u32], child: u32, leaf: &dyn Fn(usize, usize) -> f64) -> f64 {
     let word = children[child as usize];
     let mut next = word >> 4;
     let quarter = |q: usize| match word >> q & 1 {
         0 => leaf(child as usize, q),
         _ => {
             next += 1;
-            energy_below(case, children, next - 1, leaf)
+            energy_below(children, next - 1, leaf)
         }
     };
     (0..4).map(quarter).sum()
@@ -306,7 +306,7 @@ fn octants_in_f64(case: &Case, cell: usize) -> [f64; 8] {
         match case.mode {
             GuideMode::Adaptive if trees.roots >> a & 1 == 1 => {
                 root += 1;
-                energy_below(case, children, root - 1, &leaf)
+                energy_below(children, root - 1, &leaf)
             }
             GuideMode::Adaptive => blended(case, known.octants[a], known.visits[0], slot, all),
             _ if visits == 0.0 => f64::from(known.octants[a]),
