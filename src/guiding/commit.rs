@@ -17,8 +17,8 @@ const TWO_TO_32: f32 = 4_294_967_296.0;
 pub const TRUSTED_VISITS: f32 = 256.0;
 /// exp(−80) of anything is nothing; less than that might not be a number of an adapter's.
 const MOST_FORGOTTEN: f32 = 80.0;
-/// Cells that a thread takes at once.
-const CELLS_AT_ONCE: usize = 64;
+/// Cells that a thread takes at once, at least.
+pub(super) const CELLS_A_THREAD: usize = 64;
 
 /// Takes in a pass's lessons, and lays out what is known then in `rows`. Adaptive: how often each eighth of each cell was met;
 /// else nothing.
@@ -31,7 +31,7 @@ pub fn commit(
 ) -> Vec<[f32; 8]> {
     let commit = Commit { mode, uniforms, lessons };
     let parts = state.parts(&mut rows);
-    let cells = parts.into_par_iter().with_min_len(CELLS_AT_ONCE);
+    let cells = parts.into_par_iter().with_min_len(CELLS_A_THREAD);
     let met = cells.map(|mut part| commit.commit_cell(&mut part));
     match mode {
         GuideMode::Adaptive => met.collect(),

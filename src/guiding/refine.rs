@@ -2,7 +2,7 @@
 //! dozen times in a render.
 
 use super::GuideMode;
-use super::commit::child_of;
+use super::commit::{CELLS_A_THREAD, child_of};
 use super::learner::{CELL_BYTES, Learner, MOST_NODES, NODE_BYTES};
 use super::state::{CellState, CellTrees, GuideState, NodeState};
 use super::table::{FINER, MAX_CELL_LEVELS};
@@ -37,7 +37,7 @@ impl Learner {
         let regrown: Vec<Option<Trees>> = met
             .par_iter()
             .enumerate()
-            .with_min_len(64)
+            .with_min_len(CELLS_A_THREAD)
             .map(|(cell, met)| if visits(met) > 0.0 { refined(state, cell, depth) } else { None })
             .collect();
         if regrown.iter().all(Option::is_none) {
@@ -104,19 +104,21 @@ impl GuideState {
                 (nodes, free_children.split_off_mut(range).unwrap_or_default())
             })
             .collect();
-        places.into_par_iter().enumerate().with_min_len(64).for_each(|(cell, (nodes, children))| {
-            let range = self.trees[cell].range();
-            match &regrown[cell] {
-                Some(trees) => {
-                    nodes.copy_from_slice(&trees.nodes);
-                    children.copy_from_slice(&trees.children);
+        places.into_par_iter().enumerate().with_min_len(CELLS_A_THREAD).for_each(
+            |(cell, (nodes, children))| {
+                let range = self.trees[cell].range();
+                match &regrown[cell] {
+                    Some(trees) => {
+                        nodes.copy_from_slice(&trees.nodes);
+                        children.copy_from_slice(&trees.children);
+                    }
+                    None => {
+                        nodes.copy_from_slice(&self.nodes[range.clone()]);
+                        children.copy_from_slice(&self.children[range]);
+                    }
                 }
-                None => {
-                    nodes.copy_from_slice(&self.nodes[range.clone()]);
-                    children.copy_from_slice(&self.children[range]);
-                }
-            }
-        });
+            },
+        );
         (self.nodes, self.children, self.trees) = (nodes, children, trees);
     }
 }

@@ -1,7 +1,7 @@
 //! What is known of all cells, flat: numbers that a pass changes, and what the trees look like, which changes between passes.
 //! The GPU's buffers `guide_state` and `guide_trees` hold the same (kernels/guiding/commit.wesl).
 
-use super::commit::{cell_rows, lay_out_nodes};
+use super::commit::{CELLS_A_THREAD, cell_rows, lay_out_nodes};
 use super::table::CELL_ROWS;
 use super::{GuideMode, GuideUniforms};
 use bytemuck::{Pod, Zeroable};
@@ -79,9 +79,6 @@ pub struct GuideUpdate<'a> {
     pub pixels: &'a [f32],
 }
 
-/// Cells that a thread takes at once.
-const CELLS_AT_ONCE: usize = 64;
-
 impl GuideState {
     /// Adds a cell behind the others.
     pub(super) fn push(&mut self, cell: CellState, roots: u32, nodes: &[NodeState], children: &[u32]) {
@@ -126,13 +123,13 @@ impl GuideState {
     /// How all cells and nodes lie in a table.
     pub fn lay_out(&self, mode: GuideMode, rows: &mut TableRows) {
         let (cells, _) = rows.cells.as_chunks_mut();
-        let known = self.cells.par_iter().zip(&self.trees).with_min_len(CELLS_AT_ONCE);
+        let known = self.cells.par_iter().zip(&self.trees).with_min_len(CELLS_A_THREAD);
         known.zip(cells).for_each(|((cell, trees), rows)| *rows = cell_rows(mode, cell, trees));
         let mut node_rows = &mut *rows.nodes;
         let part =
             |trees: &CellTrees| (*trees, node_rows.split_off_mut(..trees.nodes as usize).unwrap_or_default());
         let parts: Vec<(CellTrees, &mut [Row])> = self.trees.iter().map(part).collect();
-        parts.into_par_iter().with_min_len(CELLS_AT_ONCE).for_each(|(trees, rows)| {
+        parts.into_par_iter().with_min_len(CELLS_A_THREAD).for_each(|(trees, rows)| {
             let range = trees.range();
             lay_out_nodes(&self.nodes[range.clone()], &self.children[range], trees.first_node, rows);
         });
