@@ -1,9 +1,10 @@
 //! The commit: sums of a pass → what is known, and how it lies in the table. The CPU engine's; GPU twin:
 //! kernels/guiding/commit.wesl, which does the same operations on f32.
 //!
-//! How exact it is: a 64-bit sum becomes an f32 with a relative error of 1.2·10⁻⁷ at most, and the blend adds five roundings
-//! of 6·10⁻⁸. That is far below the noise of what is learnt; it is the same in every run, since sums are whole numbers. GPUs
-//! may divide less exactly and fuse products into sums, so tables of different adapters differ in their last digits.
+//! How exact it is: a 64-bit sum becomes an f32 with a relative error of 1.2·10⁻⁷ at most (each word is rounded, and their
+//! sum), and the blend adds five roundings of 6·10⁻⁸. That is far below the noise of what is learnt; it is the same in every
+//! run, since sums are whole numbers. GPUs may divide less exactly and fuse products into sums, so tables of different
+//! adapters differ in their last digits.
 
 use super::lessons::{Lessons, VISIT_UNIT};
 use super::quadtree::Node;
