@@ -101,7 +101,7 @@ struct TransportArgs {
     roulette: Option<RouletteArg>,
 
     /// Let this many times as many paths survive roulette: slower, less noisy
-    /// [default: 1; learnt: 2.5]
+    /// [default: 1; learnt: 4]
     #[arg(long, value_name = "X", value_parser = values::factor, allow_negative_numbers = true)]
     roulette_scale: Option<f32>,
 

@@ -6,7 +6,6 @@ use super::{CancelToken, Engine, EngineKind, Estimators, RenderError, RenderStat
 use crate::accel::Search;
 use crate::film::{Film, PixelSum};
 use crate::guiding::commit::commit;
-use crate::guiding::state::TableRows;
 use crate::guiding::{Committed, GuideState, GuideTable, GuideUpdate, LessonLayout, LessonSums};
 use crate::scene::compiled::{CompiledScene, Uniforms};
 use crate::transport::guide::Guidance;
@@ -30,7 +29,7 @@ pub struct CpuEngine {
 struct CpuGuide {
     table: GuideTable,
     sums: LessonSums,
-    /// What the table was laid out from.
+    /// What is known.
     state: GuideState,
 }
 
@@ -54,10 +53,10 @@ impl CpuEngine {
         CpuEngine { scene, uniforms, estimators, strategy, guide: None, stats }
     }
 
-    /// Rows of the table in place.
+    /// The table's rows and what is known.
     #[cfg(test)]
-    pub(super) fn guide_rows(&self) -> Vec<crate::guiding::state::Row> {
-        self.guide.as_ref().map(|guide| guide.table.rows.clone()).unwrap_or_default()
+    pub(super) fn guide(&self) -> Option<(&[crate::guiding::state::Row], &GuideState)> {
+        self.guide.as_ref().map(|guide| (guide.table.rows.as_slice(), &guide.state))
     }
 
     /// One pass: the samples `range` of every pixel, rows in parallel.
@@ -172,23 +171,22 @@ impl Engine for CpuEngine {
         Ok(())
     }
 
-    fn set_guide(&mut self, update: &GuideUpdate) -> Result<(), RenderError> {
+    fn set_guide(&mut self, update: GuideUpdate) -> Result<(), RenderError> {
         let guide = self.guide.get_or_insert_default();
-        guide.table.update(self.estimators.table_mode(), update);
-        if let Some((_, state)) = update.anew {
+        if let Some(state) = update.state {
             guide.state.clone_from(state);
         }
         // Sums of the pass before may have been left.
         guide.sums = LessonSums::new(LessonLayout::new(&update.uniforms));
+        guide.table.update(update);
         Ok(())
     }
 
     fn commit(&mut self) -> Result<Committed, RenderError> {
         let Some(guide) = &mut self.guide else { return Ok(Committed::default()) };
         let lessons = guide.sums.take();
-        let rows = TableRows::of(&guide.table.uniforms, &mut guide.table.rows);
-        let mode = self.estimators.table_mode();
-        let met = commit(mode, &guide.table.uniforms, &lessons, &mut guide.state, rows);
+        let (mode, table) = (self.estimators.table_mode(), &mut guide.table);
+        let met = commit(mode, &table.uniforms, &lessons, &mut guide.state, &mut table.rows);
         let (cells, nodes) = (guide.state.cells.clone(), guide.state.nodes.clone());
         Ok(Committed { cells, nodes, met, missing: lessons.missing })
     }

@@ -1,5 +1,6 @@
 //! The guide on the GPU: its table, what is known, and what is learnt lie there from pass to pass. At a pass's end a kernel
-//! commits the sums; the host reads what is known then, refines it, and sends back only what changed its shape.
+//! commits the sums; the host reads what is known then, refines it, and sends back what is stale: of guides without quadtrees
+//! nothing as long as no cell is made, of those with them the table, and what is known where its shape changed.
 
 use super::RenderError;
 use super::gpu_film::GpuFilm;
@@ -7,7 +8,6 @@ use crate::gpu::error::GpuError;
 use crate::gpu::kernel::Kernel;
 use crate::gpu::stage::{CELLS_AT_ONCE, GRID_WIDTH, Stage};
 use crate::guiding::state::{CELL_STATE_ROWS, CellState, CellTrees, Committed, NodeState};
-use crate::guiding::table::NO_CELL;
 use crate::guiding::{GuideMode, GuideUniforms, GuideUpdate, LessonLayout};
 use rayon::prelude::*;
 use std::mem::size_of_val;
@@ -26,8 +26,7 @@ pub struct GpuLessons {
 }
 
 impl GpuFilm {
-    /// Puts a guide in place and clears the sums; true if bind groups must be made anew. Where the index and what is known come
-    /// anew, the commit kernel lays out cells and nodes: sums of zero change nothing else.
+    /// Puts a guide in place and clears the sums; true if bind groups must be made anew.
     pub fn set_guide(&mut self, update: &GuideUpdate) -> Result<bool, RenderError> {
         if !self.is_bound("guide_rows") {
             return Ok(false);
@@ -37,19 +36,20 @@ impl GpuFilm {
         (self.lessons.cells, self.lessons.nodes) = (uniforms.cell_count, uniforms.node_count);
         let grown = self.reserve_guide(update)?;
         self.write_guide("guide", 0, uniforms);
-        self.write_guide_slice("guide_rows", 16 * u64::from(uniforms.pixels_at), update.pixels);
-        let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
-        encoder.clear_buffer(self.buffers.get("lessons"), 0, None);
-        if let Some((index, state)) = update.anew {
-            let mut index = index.to_vec();
-            index.resize(4 * uniforms.cells_at as usize, NO_CELL);
-            self.write_guide_slice("guide_rows", 0, &index);
+        match &update.rows {
+            Some(rows) => self.write_guide_slice("guide_rows", 0, rows),
+            None => {
+                self.write_guide_slice("guide_rows", 16 * u64::from(uniforms.pixels_at), update.pixels);
+            }
+        }
+        if let Some(state) = update.state {
             self.write_guide_slice("guide_state", 0, &state.cells);
             self.write_guide_slice("guide_state", size_of_val(&*state.cells) as u64, &state.nodes);
             self.write_guide_slice("guide_trees", 0, &state.trees);
             self.write_guide_slice("guide_trees", size_of_val(&*state.trees) as u64, &state.children);
-            self.record_commit(&mut encoder);
         }
+        let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
+        encoder.clear_buffer(self.buffers.get("lessons"), 0, None);
         self.gpu.queue.submit([encoder.finish()]);
         self.stats.buffers = self.buffers.bytes();
         self.gpu.check()?;

@@ -5,7 +5,7 @@ use super::pilot::pilot;
 use super::strategy::{Pass, Planner};
 use super::{Engine, Estimators, RenderError, RenderOptions};
 use crate::film::{CombinedFilm, Film, Image, rough_luminances};
-use crate::guiding::{GuideMode, GuideOptions, Learner};
+use crate::guiding::{GuideMode, GuideOptions, Learner, Stale};
 use crate::scene::compiled::{CompiledScene, Uniforms};
 
 /// Samples that an estimate of a pixel's luminance should rest on, its neighbours' included.
@@ -14,8 +14,8 @@ const ESTIMATE_SAMPLES: f64 = 512.0;
 /// What a guided render keeps besides the film.
 pub struct Guided {
     learner: Learner,
-    /// Whether the learner has cells or trees in another shape than the engine.
-    reshaped: bool,
+    /// What of the engine's table is not what the learner has.
+    stale: Stale,
     planner: Planner,
     pass: Pass,
     combined: CombinedFilm,
@@ -51,10 +51,10 @@ impl Guided {
         let pass = planner.first();
         let pixels = uniforms.width * uniforms.height;
         engine.set_pass(&pass)?;
-        engine.set_guide(&learner.update(pass.learning, true, &vec![0.0; pixels as usize]))?;
+        engine.set_guide(learner.update(pass.learning, Stale::State, &vec![0.0; pixels as usize]))?;
         Ok(Some(Guided {
             learner,
-            reshaped: false,
+            stale: Stale::Pixels,
             planner,
             pass,
             combined: CombinedFilm::new(&Film::new(uniforms.width, uniforms.height)),
@@ -90,7 +90,7 @@ impl Guided {
         let taken = samples - self.spent.0;
         let rays_per_path = (rays - self.spent.1) as f64 / (f64::from(taken) * self.pixels);
         if self.pass.teaches() {
-            self.reshaped |= self.learner.take_in(engine.commit()?, taken);
+            self.stale = self.stale.max(self.learner.take_in(engine.commit()?, taken));
         }
         self.planner.judge(&self.pass, self.combined.variance(), rays_per_path);
         self.pass = self.planner.next(samples);
@@ -99,8 +99,8 @@ impl Guided {
         if self.pass.strategy.informed {
             // An estimate of 0 is none: paths end by throughput.
             let known = if samples >= self.mature { estimates } else { vec![0.0; estimates.len()] };
-            engine.set_guide(&self.learner.update(self.pass.learning, self.reshaped, &known))?;
-            self.reshaped = false;
+            let stale = std::mem::take(&mut self.stale);
+            engine.set_guide(self.learner.update(self.pass.learning, stale, &known))?;
         }
         Ok(())
     }

@@ -1,22 +1,24 @@
-//! What travels between passes: nothing of cells and nodes where no shape changed, and the table is the host's all the same.
+//! What travels between passes: of guides without quadtrees nothing where no cell was made, of those with them what is known
+//! only where a shape changed; and table and knowledge are the host's all the same.
 
 use super::*;
 use crate::engine::cpu::CpuEngine;
-use crate::engine::gpu_film::Keys;
+use crate::engine::gpu_film::{GpuFilm, Keys};
 use crate::engine::megakernel::MegakernelEngine;
 use crate::engine::tracer::Tracer;
 use crate::engine::{CancelToken, EngineKind, RenderStats};
 use crate::gpu::device::Gpu;
 use crate::gpu::key::KernelKey;
 use crate::guiding::state::Row;
-use crate::guiding::{Committed, GuideTable, GuideUniforms, GuideUpdate};
+use crate::guiding::table::{FINER, NO_CELL};
+use crate::guiding::{Committed, GuideState, GuideTable, GuideUpdate};
 use crate::scene::Scene;
 use std::ops::Range;
 
-/// An engine, and which of the tables that it was given came anew.
+/// An engine, and what came with each of the tables that it was given: rows, what is known.
 struct Watched<E> {
     engine: E,
-    anew: Vec<bool>,
+    anew: Vec<[bool; 2]>,
 }
 
 impl<E: Engine> Engine for Watched<E> {
@@ -37,8 +39,8 @@ impl<E: Engine> Engine for Watched<E> {
     fn set_pass(&mut self, pass: &Pass) -> Result<(), RenderError> {
         self.engine.set_pass(pass)
     }
-    fn set_guide(&mut self, update: &GuideUpdate) -> Result<(), RenderError> {
-        self.anew.push(update.anew.is_some());
+    fn set_guide(&mut self, update: GuideUpdate) -> Result<(), RenderError> {
+        self.anew.push([update.rows.is_some(), update.state.is_some()]);
         self.engine.set_guide(update)
     }
     fn begin_commit(&mut self) {
@@ -55,16 +57,23 @@ impl<E: Engine> Engine for Watched<E> {
     }
 }
 
-/// Numbers of a table's cells and nodes, and their words.
-fn contents(uniforms: &GuideUniforms, rows: Vec<Row>) -> (Vec<f32>, Vec<u32>) {
-    let table = GuideTable { uniforms: *uniforms, rows };
-    let cells: Vec<_> = (0..uniforms.cell_count).map(|i| table.cell(i)).collect();
-    let nodes: Vec<_> = (0..uniforms.node_count).map(|i| table.node(i)).collect();
-    let of_cells =
-        cells.iter().flat_map(|cell| cell.octants.into_iter().chain([cell.irradiance, cell.trust]));
-    let of_nodes = nodes.iter().flat_map(|node| [node.low_phi, node.low_z[0], node.low_z[1]]);
-    let words = cells.iter().map(|cell| cell.roots).chain(nodes.iter().map(|node| node.children));
-    (of_cells.chain(of_nodes).collect(), words.collect())
+/// Numbers of a table's cells and of what is known, and other words.
+fn contents(mode: GuideMode, table: &GuideTable, state: &GuideState) -> (Vec<f32>, Vec<u32>) {
+    let (index, behind) = table.rows.split_at(table.uniforms.words_at as usize);
+    let mut numbers: Vec<f32> = bytemuck::pod_collect_to_vec(&state.cells);
+    numbers.extend(state.nodes.as_flattened());
+    let mut words = Vec::new();
+    for &[at, number, irradiance, trust] in index {
+        words.extend([at, number]);
+        if number != NO_CELL && number & FINER == 0 {
+            numbers.extend([irradiance, trust].map(f32::from_bits));
+        }
+    }
+    match mode {
+        GuideMode::Adaptive => words.extend(behind.as_flattened()),
+        _ => numbers.extend(behind.as_flattened().iter().map(|word| f32::from_bits(*word))),
+    }
+    (numbers, words)
 }
 
 /// Whether tables are equal, to what divisions of GPUs leave.
@@ -73,12 +82,13 @@ fn alike(a: &(Vec<f32>, Vec<u32>), b: &(Vec<f32>, Vec<u32>)) -> bool {
     a.1 == b.1 && a.0.len() == b.0.len() && a.0.iter().zip(&b.0).all(close)
 }
 
-/// Renders five passes; after each the engine's table must be what the host lays out. Which tables came anew.
+/// Renders five passes; after each the engine's table must be what the host lays out, and what it knows what the host does.
+/// What came anew with each table. `read` gives rows, as many as there should be, and what is known, in a state like that.
 fn watch<E: Engine>(
     mode: GuideMode,
     make: impl Fn(&CompiledScene, Uniforms, Estimators, &RenderOptions) -> E,
-    rows: impl Fn(&E, usize) -> Vec<Row>,
-) -> Vec<bool> {
+    read: impl Fn(&E, usize, &GuideState) -> (Vec<Row>, GuideState),
+) -> Vec<[bool; 2]> {
     let path = format!("{}/scenes/cornell-box.toml", env!("CARGO_MANIFEST_DIR"));
     let scene = Scene::load(path).expect("the scene loads");
     // Cells so large that paths have met them all before long.
@@ -100,8 +110,10 @@ fn watch<E: Engine>(
         let taught = guided.pass.teaches();
         guided.conclude_pass(samples, &film, &mut watched).expect("the pass ends");
         let expected = guided.learner().table(true, &[]);
-        let found = contents(&expected.uniforms, rows(&watched.engine, expected.rows.len()));
-        let expected = contents(&expected.uniforms, expected.rows);
+        let known = guided.learner().state();
+        let (rows, state) = read(&watched.engine, expected.rows.len(), known);
+        let found = contents(mode, &GuideTable { rows, ..expected.clone() }, &state);
+        let expected = contents(mode, &expected, known);
         assert!(alike(&found, &expected), "{mode} after {samples} samples");
         // Negative control: the table of the pass before is another.
         assert!(!taught || !alike(&found, &before), "{mode} after {samples} samples: nothing was learnt");
@@ -110,15 +122,30 @@ fn watch<E: Engine>(
     watched.anew
 }
 
-fn cpu(mode: GuideMode) -> Vec<bool> {
+fn cpu(mode: GuideMode) -> Vec<[bool; 2]> {
     watch(
         mode,
         |scene, uniforms, estimators, _| CpuEngine::new(scene.clone(), uniforms, estimators),
-        |engine, _| engine.guide_rows(),
+        |engine, count, _| {
+            let (rows, state) = engine.guide().expect("it is guided");
+            (rows[..count].to_vec(), state.clone())
+        },
     )
 }
 
-fn megakernel(mode: GuideMode) -> Vec<bool> {
+/// What a GPU has of a guide.
+fn read(film: &GpuFilm, rows: usize, like: &GuideState) -> (Vec<Row>, GuideState) {
+    let (cells, nodes) = (size_of_val(&*like.cells), size_of_val(&*like.nodes));
+    let wanted = [("guide_rows", 16 * rows), ("guide_state", cells + nodes)];
+    let wanted = wanted.map(|(name, bytes)| (film.buffers.get(name), bytes as u64));
+    let read = film.gpu.read(&wanted).expect("it is read");
+    let (of_cells, of_nodes) = read[1].split_at(cells);
+    let cells = bytemuck::pod_collect_to_vec(of_cells);
+    let state = GuideState { cells, nodes: bytemuck::pod_collect_to_vec(of_nodes), ..like.clone() };
+    (bytemuck::pod_collect_to_vec(&read[0]), state)
+}
+
+fn megakernel(mode: GuideMode) -> Vec<[bool; 2]> {
     watch(
         mode,
         |scene, uniforms, estimators, options| {
@@ -127,25 +154,22 @@ fn megakernel(mode: GuideMode) -> Vec<bool> {
             let keys = Keys { own: KernelKey::new(scene, &estimators), plain: None };
             MegakernelEngine::new(gpu, scene, uniforms, keys, options).expect("the engine starts")
         },
-        |engine, rows| {
-            let film = engine.gpu();
-            let read =
-                film.gpu.read(&[(film.buffers.get("guide_rows"), 16 * rows as u64)]).expect("it is read");
-            bytemuck::pod_collect_to_vec(&read[0])
-        },
+        |engine, rows, like| read(engine.gpu(), rows, like),
     )
 }
 
 #[test]
-fn what_keeps_its_shape_is_not_uploaded_and_is_the_hosts_table() {
+fn what_is_not_stale_is_not_uploaded_and_is_the_hosts() {
     for mode in [GuideMode::Octant, GuideMode::Bansal, GuideMode::BansalReweighted] {
         for anew in [cpu(mode), megakernel(mode)] {
             // The first is the pilot's; the second may have cells that it missed.
-            assert!(anew[0] && anew.len() >= 5 && anew[2..].iter().any(|anew| !anew), "{mode}: {anew:?}");
+            assert!(anew[0] == [true; 2] && anew.len() >= 5, "{mode}: {anew:?}");
+            assert!(anew[2..].contains(&[false; 2]) && !anew.contains(&[true, false]), "{mode}: {anew:?}");
         }
     }
-    // Quadtrees grow in some of the passes, when enough is known.
+    // Quadtrees grow in some of the passes, when enough is known; tickets change in all that taught.
     for anew in [cpu(GuideMode::Adaptive), megakernel(GuideMode::Adaptive)] {
-        assert!(anew[1..].contains(&true) && anew.contains(&false), "{anew:?}");
+        let kinds = [[true; 2], [true, false], [false; 2]];
+        assert!(kinds.iter().all(|kind| anew[1..].contains(kind)), "{anew:?}");
     }
 }

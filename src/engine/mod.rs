@@ -69,7 +69,7 @@ pub trait Engine: Send {
     fn set_pass(&mut self, pass: &Pass) -> Result<(), RenderError>;
 
     /// Puts a table in place: from now on it guides paths, and what they teach is added up from zero.
-    fn set_guide(&mut self, update: &GuideUpdate) -> Result<(), RenderError>;
+    fn set_guide(&mut self, update: GuideUpdate) -> Result<(), RenderError>;
 
     /// Begins [`Engine::commit`] where that can go on while the caller does other things.
     fn begin_commit(&mut self) {}

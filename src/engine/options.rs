@@ -41,7 +41,7 @@ impl fmt::Display for EngineKind {
 }
 
 /// Scale of learnt roulette that suits most scenes.
-const LEARNT_SCALE: f32 = 2.5;
+const LEARNT_SCALE: f32 = 4.0;
 
 /// Options of a render; `None` means what the scene says.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -61,7 +61,7 @@ pub struct RenderOptions {
     /// Russian roulette: off, by throughput from the fourth surface on, or by what was learnt.
     pub roulette: Option<Roulette>,
     /// Survival in roulette is this times what it would be, up to certainty: larger is slower and less noisy. 1 by
-    /// default, for learnt roulette 2.5.
+    /// default, for learnt roulette 4.
     pub roulette_scale: Option<f32>,
     /// Where learnt roulette expects more of a path than of others, it may go on as up to so many copies in all, 1 to 8; 1
     /// by default.

@@ -53,10 +53,7 @@ impl RecordedLevel {
         let mut engine = WavefrontEngine::new(gpu, &compiled, uniforms, keys, options)?;
         let guided = Guided::start(options, estimators, &compiled, &uniforms, &mut engine)?;
         let unknown = vec![0.0; (width * height) as usize];
-        let table = match guided {
-            Some(guided) => Some(laid_out(&engine, guided.learner().table(true, &unknown))?),
-            None => None,
-        };
+        let table = guided.map(|guided| guided.learner().table(true, &unknown));
         let batch = full_batch(width * height, engine.gpu.max_paths);
         engine.prepare(&batch)?;
         engine.gpu.write_uniforms(&engine.gpu.batch_uniforms(&batch));
@@ -215,11 +212,4 @@ impl RecordedLevel {
         gpu.queue.submit([encoder.finish()]);
         Ok(gpu.wait()?)
     }
-}
-
-/// A table with the rows that the engine's own kernel laid out.
-fn laid_out(engine: &WavefrontEngine, table: GuideTable) -> Result<GuideTable, RenderError> {
-    let rows = (engine.gpu.buffers.get("guide_rows"), 16 * table.rows.len() as u64);
-    let rows = bytemuck::pod_collect_to_vec(&engine.gpu.gpu.read(&[rows])?[0]);
-    Ok(GuideTable { rows, ..table })
 }

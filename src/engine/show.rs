@@ -5,7 +5,7 @@ use crate::bsdf::{bsdf_sample, lambert_share};
 use crate::film::{GuideLayers, srgb_to_linear};
 use crate::guiding::octant::octant_shares;
 use crate::guiding::octant::{octant_share, octant_signs};
-use crate::guiding::quadtree::{MAX_DEPTH, octant_direction};
+use crate::guiding::quadtree::{leaf_depth, ticket_direction};
 use crate::guiding::table::{Cell, NO_CELL, octants};
 use crate::guiding::{GuideMode, GuideTable, Learner};
 use crate::random::{DIMENSION_CAMERA, SampleKey, Sampler, dimension_bsdf, sample4};
@@ -105,38 +105,15 @@ impl Summary {
     }
 }
 
-/// The root node of an octant's quadtree, None if the octant is one leaf.
-fn root(cell: &Cell, octant: u32) -> Option<u32> {
-    let mask = cell.roots & 255;
-    let before = (mask & ((1 << octant) - 1)).count_ones();
-    (mask >> octant & 1 == 1).then_some((cell.roots >> 8) + before)
-}
-
-/// Leaves of an adaptive cell.
+/// Leaves of an adaptive cell, by their tickets.
 fn leaves(table: &GuideTable, cell: &Cell) -> Vec<Part> {
-    let mut parts = Vec::new();
-    for octant in 0..8 {
-        let root = root(cell, octant);
-        let probability = cell.octants[octant as usize];
-        let mut open = vec![(root, probability, Vec2::ZERO, 0)];
-        while let Some((node, probability, corner, level)) = open.pop() {
-            let size = 0.5f32.powi(level);
-            let Some(node) = node.filter(|_| level < MAX_DEPTH as i32).map(|index| table.node(index)) else {
-                let direction = octant_direction(octant, corner + 0.5 * size);
-                parts.push(Part { probability, area: 0.125 * size * size, direction });
-                continue;
-            };
-            for quarter in 0..4 {
-                let (phi, z) = (quarter & 1, quarter >> 1);
-                let of_phi = if phi == 0 { node.low_phi } else { 1.0 - node.low_phi };
-                let low_z = node.low_z[phi as usize];
-                let of_z = if z == 0 { low_z } else { 1.0 - low_z };
-                let corner = corner + 0.5 * size * Vec2::new(phi as f32, z as f32);
-                open.push((node.child(quarter), probability * of_phi * of_z, corner, level + 1));
-            }
-        }
-    }
-    parts
+    let tickets: Vec<u32> = (0..1 << cell.log_tickets).map(|i| table.table_word(cell.at + i)).collect();
+    let of_leaf = |same: &[u32]| {
+        let area = 0.125 * 0.25f32.powi(leaf_depth(same[0]) as i32);
+        let probability = same.len() as f32 / tickets.len() as f32;
+        Part { probability, area, direction: ticket_direction(same[0], Vec2::splat(0.5)) }
+    };
+    tickets.chunk_by(|a, b| a == b).map(of_leaf).collect()
 }
 
 /// Octants of a cell as a surface with this normal sees them, each with its share of the cosine lobe.
@@ -162,23 +139,22 @@ impl Learnt {
     fn new(learner: &Learner) -> Learnt {
         let (mode, table) = (learner.mode(), learner.snapshot());
         let adaptive = mode == GuideMode::Adaptive;
-        let count = if adaptive { table.uniforms.cell_count } else { 0 };
-        let summary = |index| {
-            let cell = table.cell(index);
+        let cells = if adaptive { table.cells() } else { Vec::new() };
+        let summary = |cell: Cell| {
             let known = cell.irradiance > 0.0;
             if known { Summary::new(leaves(&table, &cell).into_iter()) } else { Summary::default() }
         };
-        let summaries = (0..count).into_par_iter().map(summary).collect();
+        let summaries = cells.into_par_iter().map(summary).collect();
         Learnt { mode, table, summaries }
     }
 
     /// What is known at a surface point: mean radiance, the rest, the cell. None where there is no cell.
     fn at(&self, position: Vec3, normal: Vec3) -> Option<(f32, Summary, u32)> {
-        let number = self.table.place(position, normal).cell;
-        if number == NO_CELL {
+        let place = self.table.place(position, normal);
+        if place.cell == NO_CELL {
             return None;
         }
-        let cell = self.table.cell(number);
+        let (number, cell) = (place.cell, self.table.cell(place.row));
         Some(match self.mode {
             GuideMode::Adaptive => (cell.irradiance * FRAC_1_PI, self.summaries[number as usize], number),
             _ => {
@@ -279,7 +255,7 @@ mod tests {
 
     #[test]
     fn octants_are_seen_by_their_share_of_the_cosine() {
-        let cell = Cell { index: 0, octants: [1.0; 8], roots: 0, irradiance: 1.0, trust: 1.0 };
+        let cell = Cell { octants: [1.0; 8], irradiance: 1.0, trust: 1.0, ..Default::default() };
         let summary = Summary::new(octant_parts(&cell, Vec3::Z));
         assert!((summary.entropy - 1.0).abs() < 1e-5 && summary.direction.normalize().z > 0.999);
         let dark = Cell { octants: [0.0; 8], ..cell };

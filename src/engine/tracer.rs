@@ -58,8 +58,8 @@ impl<T: Tracer> Engine for T {
         Ok(())
     }
 
-    fn set_guide(&mut self, update: &GuideUpdate) -> Result<(), RenderError> {
-        if self.gpu_mut().set_guide(update)? {
+    fn set_guide(&mut self, update: GuideUpdate) -> Result<(), RenderError> {
+        if self.gpu_mut().set_guide(&update)? {
             self.unbind();
         }
         Ok(())

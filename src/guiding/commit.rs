@@ -1,4 +1,5 @@
-//! The commit: sums of a pass → what is known, and how it lies in the table. The CPU engine's; GPU twin:
+//! The commit: sums of a pass → what is known; but for quadtrees, also how that lies in the table. Tickets are shares of a whole
+//! cell, so they all change with every commit; the host lays them out ([`super::layout`]). This is the CPU engine's; GPU twin:
 //! kernels/guiding/commit.wesl, which does the same operations on f32.
 //!
 //! How exact it is: a 64-bit sum becomes an f32 with a relative error of 1.2·10⁻⁷ at most (each word is rounded, and their
@@ -7,9 +8,8 @@
 //! adapters differ in their last digits.
 
 use super::lessons::{Lessons, VISIT_UNIT};
-use super::quadtree::Node;
-use super::state::{CellPart, CellState, CellTrees, GuideState, NodeState, Row, TableRows};
-use super::table::{CELL_ROWS, Cell};
+use super::state::{CellPart, CellState, GuideState, NodeState, Row};
+use super::table::Cell;
 use super::{GuideMode, GuideUniforms};
 use rayon::prelude::*;
 
@@ -18,29 +18,31 @@ const TWO_TO_32: f32 = 4_294_967_296.0;
 pub const TRUSTED_VISITS: f32 = 256.0;
 /// exp(−80) of anything is nothing; less than that might not be a number of an adapter's.
 const MOST_FORGOTTEN: f32 = 80.0;
+/// Words of a cell without quadtrees in the table.
+pub const OCTANT_WORDS: u32 = 8;
 /// Cells that a thread takes at once, at least.
 pub(super) const CELLS_A_THREAD: usize = 64;
 
-/// Takes in a pass's lessons, and lays out what is known then in `rows`. Adaptive: how often each eighth of each cell was met;
-/// else nothing.
+/// Takes in a pass's lessons. Adaptive: how often each eighth of each cell was met; else nothing, but the cells lie in the
+/// table's `rows` as they are known now.
 pub fn commit(
     mode: GuideMode,
     uniforms: &GuideUniforms,
     lessons: &Lessons,
     state: &mut GuideState,
-    mut rows: TableRows,
+    rows: &mut [Row],
 ) -> Vec<[f32; 8]> {
     let commit = Commit { mode, uniforms, lessons };
-    let parts = state.parts(&mut rows);
-    let cells = parts.into_par_iter().with_min_len(CELLS_A_THREAD);
+    let cells = state.parts().into_par_iter().with_min_len(CELLS_A_THREAD);
     let met = cells.map(|mut part| commit.commit_cell(&mut part));
-    match mode {
-        GuideMode::Adaptive => met.collect(),
-        _ => {
-            met.for_each(drop);
-            Vec::new()
-        }
+    if mode == GuideMode::Adaptive {
+        return met.collect();
     }
+    met.for_each(drop);
+    for (index, cell) in (0..).zip(&state.cells) {
+        lay_out_cell(mode, uniforms, index, cell, state.trees[index as usize].row, rows);
+    }
+    Vec::new()
 }
 
 /// The sum as an f32, by its words as the GPU has them.
@@ -101,18 +103,15 @@ impl Commit<'_> {
 
     /// Commits a pass's lessons about a cell. Adaptive: how often its eighths were met.
     fn commit_cell(&self, part: &mut CellPart) -> [f32; 8] {
-        let mut met = [0.0; 8];
         match self.mode {
             GuideMode::Adaptive => {
                 self.blend_leaves(part);
-                met = self.commit_quadtrees(part);
-                lay_out_nodes(part.nodes, part.children, part.trees.first_node, part.node_rows);
+                return self.commit_quadtrees(part);
             }
             GuideMode::Octant => self.commit_octants(part),
             _ => self.commit_bansal(part),
         }
-        *part.cell_rows = cell_rows(self.mode, part.cell, &part.trees);
-        met
+        [0.0; 8]
     }
 
     /// Q ← mean(T) weighted by the cosine over the density, over this pass and what earlier ones are still worth.
@@ -179,13 +178,6 @@ impl Commit<'_> {
     }
 }
 
-/// Lays out the nodes of a cell, the first of which is number `first` of all.
-pub(super) fn lay_out_nodes(nodes: &[NodeState], children: &[u32], first: u32, rows: &mut [Row]) {
-    for ((row, energies), &children) in rows.iter_mut().zip(nodes).zip(children) {
-        *row = node_row(energies, children, first).row();
-    }
-}
-
 /// (1 − α)ⁿ · known + (1 − (1 − α)ⁿ) · mean, where `forgotten` is −n · ln(1 − α). The second share is a series where it is
 /// small, since the difference would lose digits.
 fn updated(known: f32, mean: f32, forgotten: f32) -> f32 {
@@ -209,31 +201,30 @@ pub(super) fn child_of(children: u32, bits: u32, i: u32) -> Option<usize> {
     (mask >> i & 1 == 1).then_some(((children >> bits) + before) as usize)
 }
 
-/// How a cell lies in the table.
-pub(super) fn cell_rows(mode: GuideMode, cell: &CellState, trees: &CellTrees) -> [Row; CELL_ROWS as usize] {
+/// Lays out a cell without quadtrees: its row of the index, and its two rows of octants.
+fn lay_out_cell(
+    mode: GuideMode,
+    uniforms: &GuideUniforms,
+    index: u32,
+    cell: &CellState,
+    row: u32,
+    rows: &mut [Row],
+) {
+    let at = OCTANT_WORDS * index;
+    rows[row as usize] = cell_row(mode, cell, Cell { index, at, ..Default::default() });
+    let first = (uniforms.words_at + at / 4) as usize;
+    let octants: [Row; 2] = bytemuck::cast(cell.octants);
+    rows[first..first + 2].copy_from_slice(&octants);
+}
+
+/// How the index tells of a cell; `place` says which it is and where its words are.
+pub(super) fn cell_row(mode: GuideMode, cell: &CellState, place: Cell) -> Row {
     let irradiance = sum_of_rows(&cell.octants);
-    let adaptive = mode == GuideMode::Adaptive;
-    let visits = if adaptive { cell.visits[0] } else { sum_of_rows(&cell.visits) };
-    let scale = if adaptive && irradiance > 0.0 { irradiance } else { 1.0 };
+    let visits = if mode == GuideMode::Adaptive { cell.visits[0] } else { sum_of_rows(&cell.visits) };
     let trust = match mode {
         _ if irradiance <= 0.0 => 0.0,
         GuideMode::Adaptive | GuideMode::Octant => visits / (visits + TRUSTED_VISITS),
         _ => 1.0,
     };
-    let mask = trees.roots & 255;
-    let roots = if mask == 0 { 0 } else { mask + (trees.first_node << 8) };
-    Cell { index: 0, octants: cell.octants.map(|energy| energy / scale), roots, irradiance, trust }.rows()
-}
-
-/// How a node lies in the table.
-fn node_row(energies: &NodeState, children: u32, first: u32) -> Node {
-    let [a, b, c, d] = *energies;
-    let (low, high) = (a + c, b + d);
-    let below = if children & 15 == 0 { 0 } else { children + (first << 4) };
-    Node { low_phi: share_of(low, low + high), low_z: [share_of(a, low), share_of(b, high)], children: below }
-}
-
-/// A part of a whole. Where that is nothing it is never chosen, and how it splits does not matter.
-fn share_of(part: f32, whole: f32) -> f32 {
-    if whole > 0.0 { part / whole } else { 0.5 }
+    Cell { irradiance, trust, ..place }.row()
 }

@@ -1,10 +1,11 @@
 //! What was learnt, as a file: docs/GUIDE_FORMAT.md. Files are data from anywhere: damaged, truncated or lying ones are
 //! errors, never a panic, and never take memory out of proportion to their own size.
 
-use super::learner::{Learner, LearnerError, MOST_NODES, fixed_point_unit};
+use super::learner::{Learner, LearnerError, MOST_CELLS_IN_ALL, MOST_NODES, fixed_point_unit};
 use super::quadtree::MAX_DEPTH;
 use super::state::{CellState, GuideState, NodeState};
 use super::table::{FINER, GuideTable, GuideUniforms, MAX_CELL_LEVELS, NO_CELL};
+use super::tickets::MOST_CELL_NODES;
 use super::{GuideMode, GuideOptions};
 use crate::film::{Draft, ImageError};
 use crate::math::fnv1a;
@@ -227,7 +228,7 @@ impl Learner {
         let mut words = [0; CELL_WORDS];
         words[..8].copy_from_slice(&cell.octants.map(f32::to_bits));
         words[8..16].copy_from_slice(&cell.visits.map(f32::to_bits));
-        words[16..].copy_from_slice(&[trees.roots, self.levels[number], trees.nodes, self.word_of[number]]);
+        words[16..].copy_from_slice(&[trees.roots, self.levels[number], trees.nodes, trees.row]);
         words
     }
 }
@@ -286,7 +287,6 @@ fn read_body(reader: &mut Reader) -> Result<Learner, Fault> {
     let mut learner = Learner {
         options,
         grid,
-        word_of: cells.iter().map(|words| words[19]).collect(),
         levels: cells.iter().map(|words| words[17]).collect(),
         state: GuideState::default(),
         index,
@@ -382,6 +382,9 @@ fn read_cell(
 ) -> Result<(), Fault> {
     let (roots, count) = (words[16], words[18]);
     let cell = CellState { octants: energies(&words[..8])?, visits: energies(&words[8..16])? };
+    if count as usize > MOST_CELL_NODES {
+        return damaged("it has a cell with too many nodes");
+    }
     let (mut known, mut children) = (Vec::new(), Vec::new());
     for _ in 0..count {
         let Some(words) = nodes.next() else { return damaged("it has too few nodes") };
@@ -391,7 +394,7 @@ fn read_cell(
     if !is_breadth_first(roots, &children) || (mode != GuideMode::Adaptive && count > 0) {
         return damaged("its quadtrees make no sense");
     }
-    state.push(cell, roots, &known, &children);
+    state.push(words[19], cell, roots, &known, &children);
     Ok(())
 }
 
@@ -418,8 +421,12 @@ fn check_counts(learner: &Learner) -> Result<(), Fault> {
     if named.clone().any(|&cell| cell as usize >= cells) {
         return damaged("its index names cells that it does not have");
     }
+    // A commit keeps one row of the index per cell up to date, where it writes any.
+    if learner.mode() != GuideMode::Adaptive && named.count() != cells {
+        return damaged("its index names cells twice");
+    }
     match 8 * cells as u64 + 4 * learner.nodes() as u64 {
-        slots if slots < 1 << 31 && learner.nodes() < MOST_NODES => Ok(()),
+        slots if slots < 1 << 31 && learner.nodes() < MOST_NODES && cells <= MOST_CELLS_IN_ALL => Ok(()),
         _ => damaged("it has too many cells"),
     }
 }

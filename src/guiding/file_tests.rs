@@ -1,5 +1,4 @@
 use super::*;
-use crate::guiding::learner::{CELL_BYTES, NODE_BYTES};
 use crate::guiding::lessons::VISIT_UNIT;
 use crate::guiding::table::adaptive;
 use crate::guiding::{LessonLayout, Lessons};
@@ -106,10 +105,14 @@ fn bytes_are_those_of_the_buffers() {
     for mode in MODES {
         let learner = learner(mode, 11);
         let table = learner.snapshot();
-        let of_cells = CELL_BYTES * learner.cells() as u64 + NODE_BYTES * learner.nodes() as u64;
-        let of_index = 16 * learner.index.len().div_ceil(4) as u64 + 4 * u64::from(learner.layout().missing);
-        assert_eq!(learner.bytes(), of_cells + of_index, "{mode}");
-        assert_eq!(learner.table_bytes(), 16 * table.rows.len() as u64, "{mode}");
+        assert_eq!(learner.bytes(), learner.table_bytes() + learner.sums_bytes() + learner.state_bytes());
+        let state = &learner.state;
+        let known = size_of_val(&*state.cells) + size_of_val(&*state.nodes);
+        let shapes = size_of_val(&*state.trees) + size_of_val(&*state.children);
+        let met = if mode == GuideMode::Adaptive { 32 * learner.cells() } else { 0 };
+        assert_eq!(learner.state_bytes(), (known + shapes + met) as u64, "{mode}");
+        let rows = learner.table_bytes().div_ceil(16);
+        assert_eq!(rows, table.rows.len() as u64, "{mode}");
         assert_eq!(learner.sums_bytes(), 4 * LessonLayout::new(&table.uniforms).words(), "{mode}");
     }
 }
@@ -176,10 +179,10 @@ fn exercise(learner: &Learner) {
         let [x, y, z] = [0; 3].map(|_| (numbers.next() % 1000) as f32 / 500.0 - 1.0);
         let direction = Vec3::new(x, y, z + 1e-3).normalize();
         let place = table.place(5.0 * Vec3::new(z, x, y), direction);
-        if place.cell != NO_CELL {
-            let cell = table.cell(place.cell);
+        if place.cell != NO_CELL && learner.mode() == GuideMode::Adaptive {
+            let cell = table.cell(place.row);
             adaptive::density(&table, &cell, direction);
-            adaptive::sample(&table, &cell, 0.5 * (x + 1.0), Vec2::splat(0.4));
+            adaptive::sample(&table, &cell, Vec2::new(0.5 * (x + 1.0), 0.4));
         }
     }
     let layout = learner.layout();

@@ -2,27 +2,34 @@
 //! meet surfaces, and what is known is laid out for the next pass.
 
 use super::commit::commit;
+use super::layout::{Layout, put_pixels, words_of};
 use super::lessons::{LessonLayout, Lessons};
-use super::state::{CellState, Committed, GuideState, GuideUpdate, Row, TableRows};
-use super::table::{CELL_ROWS, GuideTable, GuideUniforms, NO_CELL};
+use super::state::{CellState, Committed, GuideState, GuideUpdate, Stale};
+use super::table::{CELL_BITS, GuideTable, GuideUniforms, NO_CELL};
 use super::{GuideMode, GuideOptions};
 use glam::Vec3;
+use rayon::prelude::*;
 
 /// Base cells along the longest side, where nothing else is asked for.
 const BASE_CELLS: f32 = 16.0;
 /// Base cells along any side at most.
 const MOST_CELLS: f32 = 128.0;
-/// Bytes of a cell and of a quadtree node in the table, in the sums of a pass, and in what is known.
-pub(super) const CELL_BYTES: u64 = 16 * CELL_ROWS as u64 + 128 + CELL_STATE_BYTES;
-pub(super) const NODE_BYTES: u64 = 48 + NODE_STATE_BYTES;
-/// … in what is known alone, what was met and the trees' words included.
-pub(super) const CELL_STATE_BYTES: u64 = 64 + 32 + 12;
-pub(super) const NODE_STATE_BYTES: u64 = 16 + 4;
+/// Bytes of a row of the index, and of a pass's mark for it.
+pub(super) const INDEX_BYTES: u64 = 16 + 4;
+/// Bytes of a cell and of a quadtree node in the sums of a pass.
+const CELL_SUM_BYTES: u64 = 2 * 64;
+const NODE_SUM_BYTES: u64 = 32;
+/// Bytes of a cell and of a quadtree node in what is known, the trees' words included.
+const CELL_STATE_BYTES: u64 = 64 + 16;
+const NODE_STATE_BYTES: u64 = 16 + 4;
+/// Adaptive: bytes of how often a cell was met in a pass.
+const MET_BYTES: u64 = 32;
 /// Fixed-point units per unit of radiance, as a power of two below the brightest emitter.
 const UNIT_BITS: i32 = 36;
 
-/// Quadtree nodes that a table can number.
+/// Quadtree nodes and cells that a table can number.
 pub(super) const MOST_NODES: usize = 1 << 24;
+pub(super) const MOST_CELLS_IN_ALL: usize = 1 << CELL_BITS;
 
 /// Why a learner can't be made or go on.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -47,10 +54,8 @@ pub struct Learner {
     pub(super) options: GuideOptions,
     /// But for what [`Learner::uniforms`] derives.
     pub(super) grid: GuideUniforms,
-    /// As in the table.
+    /// A word for each row of the table's index: the number of a cell, the first of eight finer words, or none.
     pub(super) index: Vec<u32>,
-    /// Which word of the index leads to each cell.
-    pub(super) word_of: Vec<u32>,
     /// Cuts of a base cell that led to each cell.
     pub(super) levels: Vec<u32>,
     pub(super) state: GuideState,
@@ -98,7 +103,7 @@ impl Learner {
             discount: options.discount,
             ..Default::default()
         };
-        let bytes = 8 * u64::from(grid.base_words());
+        let bytes = INDEX_BYTES * u64::from(grid.base_words());
         if bytes > options.memory {
             return Err(LearnerError::Memory { bytes, limit: options.memory });
         }
@@ -107,7 +112,6 @@ impl Learner {
             options,
             grid,
             index,
-            word_of: Vec::new(),
             levels: Vec::new(),
             state: GuideState::default(),
             passes: 0,
@@ -122,7 +126,12 @@ impl Learner {
 
     /// How the sums of a pass with the current table are laid out.
     pub fn layout(&self) -> LessonLayout {
-        LessonLayout::new(&self.uniforms(true))
+        LessonLayout::new(&self.counted())
+    }
+
+    /// What it knows.
+    pub fn state(&self) -> &GuideState {
+        &self.state
     }
 
     /// Cells that exist.
@@ -140,7 +149,7 @@ impl Learner {
         let before = self.cells();
         for (word, &missed) in missing.iter().enumerate() {
             if missed != 0 && self.index[word] == NO_CELL {
-                self.state.push(CellState::default(), 0, &[], &[]);
+                self.state.push(word as u32, CellState::default(), 0, &[], &[]);
                 self.enter_cell(word as u32, 0);
             }
         }
@@ -150,26 +159,29 @@ impl Learner {
     /// Has a word of the index lead to the last cell.
     pub(super) fn enter_cell(&mut self, word: u32, level: u32) {
         self.index[word as usize] = self.levels.len() as u32;
-        self.word_of.push(word);
         self.levels.push(level);
     }
 
     /// Takes in what a pass of `samples` samples per pixel taught, as the CPU engine commits it.
     pub fn learn(&mut self, lessons: &Lessons, samples: u32) {
         let mut table = self.table(true, &[]);
-        let rows = TableRows::of(&table.uniforms, &mut table.rows);
-        let met = commit(self.mode(), &table.uniforms, lessons, &mut self.state, rows);
+        let met = commit(self.mode(), &table.uniforms, lessons, &mut self.state, &mut table.rows);
         self.refine(&met, &lessons.missing, samples);
         self.count_pass(samples);
     }
 
-    /// Takes in what an engine committed after a pass of `samples` samples per pixel; whether the engine needs the index and
-    /// what is known anew, since cells or trees changed their shape.
-    pub fn take_in(&mut self, committed: Committed, samples: u32) -> bool {
+    /// Takes in what an engine committed after a pass of `samples` samples per pixel; what of its table is not as it should be
+    /// then.
+    pub fn take_in(&mut self, committed: Committed, samples: u32) -> Stale {
         self.state.cells = committed.cells;
         self.state.nodes = committed.nodes;
         self.count_pass(samples);
-        self.refine(&committed.met, &committed.missing, samples)
+        match self.refine(&committed.met, &committed.missing, samples) {
+            true => Stale::State,
+            // Every ticket of a cell depends on all its energies.
+            false if self.mode() == GuideMode::Adaptive => Stale::Rows,
+            false => Stale::Pixels,
+        }
     }
 
     fn count_pass(&mut self, samples: u32) {
@@ -179,14 +191,18 @@ impl Learner {
 
     /// Bytes of the table, its sums and what is known, but for the estimates of the pixels.
     pub fn bytes(&self) -> u64 {
-        let known = CELL_STATE_BYTES * self.cells() as u64 + NODE_STATE_BYTES * self.nodes() as u64;
-        self.table_bytes() + self.sums_bytes() + known
+        self.table_bytes() + self.sums_bytes() + self.state_bytes()
     }
 
     /// Bytes of the table, but for the estimates of the pixels.
     pub fn table_bytes(&self) -> u64 {
-        let rows = self.index.len().div_ceil(4) + CELL_ROWS as usize * self.cells() + self.nodes();
-        16 * rows as u64
+        let words: u64 = (0..self.cells()).into_par_iter().map(|cell| self.table_words(cell)).sum();
+        16 * self.index.len() as u64 + 4 * words
+    }
+
+    /// Words of a cell in the table.
+    fn table_words(&self, cell: usize) -> u64 {
+        u64::from(words_of(self.mode(), &self.state.cell(cell)))
     }
 
     /// Bytes of the sums of a pass.
@@ -194,62 +210,67 @@ impl Learner {
         4 * self.layout().words()
     }
 
-    /// The numbers of the next pass.
-    pub fn uniforms(&self, learning: bool) -> GuideUniforms {
-        let (cells, nodes) = (self.cells() as u32, self.nodes() as u32);
-        let cells_at = self.index.len().div_ceil(4) as u32;
-        let nodes_at = cells_at + CELL_ROWS * cells;
-        let memory = match self.mode() {
-            // Any visit is beyond that, and no number of them too large for an f32.
-            mode if mode.is_bansal() => {
-                (-f64::from(-self.options.alpha.unwrap_or(1e-4)).ln_1p()).min(1e20) as f32
-            }
-            _ => 1.0 - self.options.alpha.unwrap_or(0.75),
-        };
-        GuideUniforms {
-            cells_at,
-            nodes_at,
-            pixels_at: nodes_at + nodes,
-            cell_count: cells,
-            node_count: nodes,
-            learning: learning.into(),
-            memory,
-            ..self.grid
-        }
+    /// Bytes of what is known, and of how often cells were met.
+    pub fn state_bytes(&self) -> u64 {
+        self.cell_state_bytes() * self.cells() as u64 + NODE_STATE_BYTES * self.nodes() as u64
     }
 
-    /// What an engine needs for the next pass; all of it where it needs things `anew`. `pixels` are estimates of the pixels'
+    /// … of a cell without its nodes.
+    fn cell_state_bytes(&self) -> u64 {
+        CELL_STATE_BYTES + if self.mode() == GuideMode::Adaptive { MET_BYTES } else { 0 }
+    }
+
+    /// Bytes of a cell: in the table, in the sums of a pass, in what is known.
+    pub(super) fn cell_bytes(&self, cell: usize) -> u64 {
+        let nodes = (NODE_SUM_BYTES + NODE_STATE_BYTES) * u64::from(self.state.trees[cell].nodes);
+        4 * self.table_words(cell) + CELL_SUM_BYTES + self.cell_state_bytes() + nodes
+    }
+
+    /// The grid with the numbers of cells and nodes.
+    fn counted(&self) -> GuideUniforms {
+        let (cell_count, node_count) = (self.cells() as u32, self.nodes() as u32);
+        GuideUniforms { cell_count, node_count, ..self.grid }
+    }
+
+    /// The numbers of the next pass.
+    fn uniforms(&self, layout: &Layout, learning: bool) -> GuideUniforms {
+        let alpha = self.options.alpha;
+        let memory = match self.mode() {
+            // Any visit is beyond that, and no number of them too large for an f32.
+            mode if mode.is_bansal() => (-f64::from(-alpha.unwrap_or(1e-4)).ln_1p()).min(1e20) as f32,
+            _ => 1.0 - alpha.unwrap_or(0.75),
+        };
+        let (words_at, pixels_at) = (layout.words_at(), layout.pixels_at());
+        GuideUniforms { words_at, pixels_at, learning: learning.into(), memory, ..self.counted() }
+    }
+
+    /// What an engine needs for the next pass where so much of its table is `stale`. `pixels` are estimates of the pixels'
     /// luminances, for learnt roulette.
-    pub fn update<'a>(&'a self, learning: bool, anew: bool, pixels: &'a [f32]) -> GuideUpdate<'a> {
-        let known = (self.index.as_slice(), &self.state);
-        GuideUpdate { uniforms: self.uniforms(learning), anew: anew.then_some(known), pixels }
+    pub fn update<'a>(&'a self, learning: bool, stale: Stale, pixels: &'a [f32]) -> GuideUpdate<'a> {
+        let layout = Layout::new(self.mode(), &self.index, &self.state);
+        GuideUpdate {
+            uniforms: self.uniforms(&layout, learning),
+            rows: (stale >= Stale::Rows).then(|| layout.rows(pixels)),
+            state: (stale >= Stale::State).then_some(&self.state),
+            pixels,
+        }
     }
 
     /// The table for the next pass, as the CPU engine has it.
     pub fn table(&self, learning: bool, pixels: &[f32]) -> GuideTable {
         let mut table = GuideTable::default();
-        table.update(self.mode(), &self.update(learning, true, pixels));
+        table.update(self.update(learning, Stale::State, pixels));
         table
     }
 }
 
-/// Words as rows, the last of them filled up.
-fn rows_of(words: &[u32], filling: u32) -> impl Iterator<Item = Row> {
-    words.chunks(4).map(move |words| std::array::from_fn(|i| words.get(i).copied().unwrap_or(filling)))
-}
-
 impl GuideTable {
-    /// The table of the next pass. Rows of cells and nodes stay where nothing is `anew`.
-    pub fn update(&mut self, mode: GuideMode, update: &GuideUpdate) {
+    /// The table of the next pass.
+    pub fn update(&mut self, update: GuideUpdate) {
         self.uniforms = update.uniforms;
-        let uniforms = &update.uniforms;
-        if let Some((index, state)) = update.anew {
-            self.rows.clear();
-            self.rows.extend(rows_of(index, NO_CELL));
-            self.rows.resize(uniforms.pixels_at as usize, [0; 4]);
-            state.lay_out(mode, &mut TableRows::of(uniforms, &mut self.rows));
+        match update.rows {
+            Some(rows) => self.rows = rows,
+            None => put_pixels(&mut self.rows[update.uniforms.pixels_at as usize..], update.pixels),
         }
-        self.rows.truncate(uniforms.pixels_at as usize);
-        self.rows.extend(rows_of(bytemuck::cast_slice(update.pixels), 0));
     }
 }

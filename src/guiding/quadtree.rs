@@ -1,5 +1,7 @@
-//! Quadtrees over the directions of an octant, in equal-area coordinates: (φ within the octant, |z|). A leaf's density is
-//! its probability over its area. GPU twin: kernels/guiding/quadtree.wesl
+//! Quadtrees over the directions of an octant, in equal-area coordinates: (φ within the octant, |z|), and how their leaves
+//! lie in the table. A leaf's probability is a whole number of its cell's *tickets*, so a direction is drawn by one look at
+//! a ticket, and the leaf of a direction is found on a *map*, four by four squares at a time.
+//! GPU twin: kernels/guiding/quadtree.wesl
 
 use super::octant::octant_signs;
 use glam::{Vec2, Vec3};
@@ -7,6 +9,16 @@ use std::f32::consts::{FRAC_2_PI, FRAC_PI_2};
 
 /// Levels below an octant at most: leaves of 2π/8 · 4⁻⁷ sr, about half a degree wide.
 pub const MAX_DEPTH: u32 = 7;
+/// Bits of a word that count tickets.
+pub const TICKET_BITS: u32 = 12;
+/// Bits of a word of the map that number the leaf in its cell.
+pub const LEAF_BITS: u32 = 16;
+/// Squares of a block of the map: four by four.
+pub const BLOCK_WORDS: u32 = 16;
+/// Marks a word of the map that leads to the block in place of its square.
+pub const FINER_BLOCK: u32 = 1 << 31;
+/// Blocks from an octant down to its finest leaves.
+pub const MAP_LEVELS: u32 = 4;
 
 /// Where a direction lies in its octant: (φ / 90°, |z|), both in [0, 1]; area on the sphere is proportional to area here.
 pub fn octant_coordinates(direction: Vec3) -> Vec2 {
@@ -21,78 +33,58 @@ pub fn octant_direction(octant: u32, p: Vec2) -> Vec3 {
     Vec3::new(radius * phi.cos(), radius * phi.sin(), p.y) * octant_signs(octant)
 }
 
-/// A node: how probability splits among its quarters. 16 bytes, one load.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Node {
-    /// Probability of the half φ < ½.
-    pub low_phi: f32,
-    /// Probability of |z| < ½ within that half, and within the other.
-    pub low_z: [f32; 2],
-    /// Quarters that are nodes themselves: a bit each (quarter = φ bit + 2 · z bit), below their first number.
-    pub children: u32,
+/// 2⁻ⁿ, exactly, for n up to 126.
+fn inverse_power(n: u32) -> f32 {
+    f32::from_bits((127 - n) << 23)
 }
 
-impl Node {
-    pub fn from_row(row: [u32; 4]) -> Node {
-        let [a, b, c] = [row[0], row[1], row[2]].map(f32::from_bits);
-        Node { low_phi: a, low_z: [b, c], children: row[3] }
+/// Density in sr⁻¹ of a leaf in a cell of 2^`log_tickets` tickets: its share of them over its solid angle, π/2 · 4^−depth.
+/// `leaf` is a word of the map or a ticket: tickets, then depth.
+pub fn leaf_density(leaf: u32, log_tickets: u32) -> f32 {
+    let tickets = leaf & ((1 << TICKET_BITS) - 1);
+    (tickets << (2 * leaf_depth(leaf))) as f32 * inverse_power(log_tickets) * FRAC_2_PI
+}
+
+/// A ticket: a leaf's tickets and depth, its place on the grid of squares of its size, its octant.
+pub fn ticket(tickets: u32, depth: u32, [x, y]: [u32; 2], octant: u32) -> u32 {
+    tickets | depth << TICKET_BITS | x << 15 | y << 22 | octant << 29
+}
+
+/// A word of the map: a leaf's tickets and depth, its number in the cell.
+pub fn map_word(tickets: u32, depth: u32, number: u32) -> u32 {
+    tickets | depth << TICKET_BITS | number << (TICKET_BITS + 3)
+}
+
+/// The number of the leaf in its cell that a word of the map tells: octants first, then the quarters of nodes.
+pub fn leaf_number(leaf: u32) -> u32 {
+    leaf >> (TICKET_BITS + 3) & ((1 << LEAF_BITS) - 1)
+}
+
+/// How deep the leaf of a ticket, or of a word of the map, lies.
+pub fn leaf_depth(ticket: u32) -> u32 {
+    ticket >> TICKET_BITS & 7
+}
+
+/// The direction of a ticket at `rest` of its leaf, [0, 1)².
+pub fn ticket_direction(ticket: u32, rest: Vec2) -> Vec3 {
+    let corner = Vec2::new((ticket >> 15 & 127) as f32, (ticket >> 22 & 127) as f32);
+    octant_direction(ticket >> 29, (corner + rest) * inverse_power(leaf_depth(ticket)))
+}
+
+/// The word of the map with the leaf of the point `p` of an octant. `map` is the first word of the cell's map, where each
+/// octant has a block, and from where blocks are counted; `word` reads one.
+pub fn find_leaf(word: impl Fn(u32) -> u32, map: u32, octant: u32, p: Vec2) -> u32 {
+    let x = ((p.x * 256.0) as u32).min(255);
+    let y = ((p.y * 256.0) as u32).min(255);
+    let mut block = BLOCK_WORDS * octant;
+    let mut leaf = 0;
+    for level in 0..MAP_LEVELS {
+        let shift = 6 - 2 * level;
+        leaf = word(map + block + (x >> shift & 3) + 4 * (y >> shift & 3));
+        if leaf & FINER_BLOCK == 0 {
+            break;
+        }
+        block = BLOCK_WORDS * (leaf & !FINER_BLOCK);
     }
-
-    pub fn row(&self) -> [u32; 4] {
-        [self.low_phi.to_bits(), self.low_z[0].to_bits(), self.low_z[1].to_bits(), self.children]
-    }
-
-    /// The node in place of a quarter, None if that is a leaf. Child nodes lie next to each other.
-    pub fn child(&self, quarter: u32) -> Option<u32> {
-        let mask = self.children & 15;
-        let before = (mask & ((1 << quarter) - 1)).count_ones();
-        (mask >> quarter & 1 == 1).then_some((self.children >> 4) + before)
-    }
+    leaf
 }
-
-/// The leaf of a direction.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Leaf {
-    /// The node that it is a quarter of and the quarter: 4 · node + quarter; None if it is the whole octant.
-    pub quarter: Option<u32>,
-    /// Probability of the leaf within its octant, relative to its share of the octant's area.
-    pub density: f32,
-}
-
-/// The leaf that a descent ends in, and the point of the octant that it stands for.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Descent {
-    pub leaf: Leaf,
-    pub point: Vec2,
-}
-
-/// Descends from node `root` (None: the octant is one leaf). Where `warped`, `at` is random numbers in [0, 1)², and the point
-/// has the density of its leaf; else `at` is the point itself.
-pub fn descend(nodes: impl Fn(u32) -> Node, root: Option<u32>, at: Vec2, warped: bool) -> Descent {
-    let mut leaf = Leaf { quarter: None, density: 1.0 };
-    let (mut rest, mut next) = (at, root);
-    let (mut corner, mut size) = (Vec2::ZERO, 1.0);
-    for _ in 0..MAX_DEPTH {
-        let Some(index) = next else { break };
-        let node = nodes(index);
-        let (high_phi, x) = choose(rest.x, if warped { node.low_phi } else { 0.5 });
-        let low_z = if high_phi { node.low_z[1] } else { node.low_z[0] };
-        let (high_z, y) = choose(rest.y, if warped { low_z } else { 0.5 });
-        rest = Vec2::new(x, y);
-        size *= 0.5;
-        corner += Vec2::new(high_phi as u32 as f32, high_z as u32 as f32) * size;
-        let quarter = u32::from(high_phi) + 2 * u32::from(high_z);
-        let phi = if high_phi { 1.0 - node.low_phi } else { node.low_phi };
-        let z = if high_z { 1.0 - low_z } else { low_z };
-        leaf = Leaf { quarter: Some(4 * index + quarter), density: leaf.density * 4.0 * phi * z };
-        next = node.child(quarter);
-    }
-    Descent { leaf, point: corner + rest * size }
-}
-
-/// Splits [0, 1) at `p`: the part in which `u` lies, and where `u` lies in it. A part of probability 0 is never chosen.
-fn choose(u: f32, p: f32) -> (bool, f32) {
-    let (high, rest) = if u < p { (false, u / p) } else { (true, (u - p) / (1.0 - p)) };
-    (high, rest.min(BELOW_ONE))
-}
-const BELOW_ONE: f32 = 1.0 - f32::EPSILON / 2.0;

@@ -3,7 +3,7 @@
 
 use super::GuideMode;
 use super::commit::{CELLS_A_THREAD, child_of};
-use super::learner::{CELL_BYTES, Learner, MOST_NODES, NODE_BYTES};
+use super::learner::{INDEX_BYTES, Learner, MOST_CELLS_IN_ALL, MOST_NODES};
 use super::state::{CellState, CellTrees, GuideState, NodeState};
 use super::table::{FINER, MAX_CELL_LEVELS};
 use rayon::prelude::*;
@@ -54,22 +54,23 @@ impl Learner {
         let words = self.index.len();
         for (cell, met) in met.iter().enumerate() {
             let often = f64::from(visits(met)) > limit;
-            if !often || self.levels[cell] >= MAX_CELL_LEVELS || bytes > self.options.memory {
+            let full = bytes > self.options.memory || self.cells() + 8 > MOST_CELLS_IN_ALL;
+            if !often || self.levels[cell] >= MAX_CELL_LEVELS || full {
                 continue;
             }
             let parts: Vec<u32> = (0..8).filter(|&eighth| met[eighth as usize] > 0.0).collect();
             self.levels[cell] += 1;
             self.state.cells[cell].visits.iter_mut().for_each(|v| *v /= parts.len().max(1) as f32);
             let copies = parts.len().saturating_sub(1) as u64;
-            bytes += 32 + copies * (CELL_BYTES + NODE_BYTES * u64::from(self.state.trees[cell].nodes));
+            bytes += 8 * INDEX_BYTES + copies * self.cell_bytes(cell);
             let block = self.index.len() as u32;
-            let parent = self.word_of[cell] as usize;
+            let parent = self.state.trees[cell].row as usize;
             self.index[parent] = FINER | block;
             // The cell itself becomes the first of its parts, and stands in for those that hold no surface.
             self.index.extend([cell as u32; 8]);
-            self.word_of[cell] = block + parts.first().copied().unwrap_or(0);
+            self.state.trees[cell].row = block + parts.first().copied().unwrap_or(0);
             for part in parts.into_iter().skip(1) {
-                self.state.push_copy(cell);
+                self.state.push_copy(block + part, cell);
                 self.enter_cell(block + part, self.levels[cell]);
             }
         }
@@ -91,7 +92,7 @@ impl GuideState {
         for (old, new) in self.trees.iter().zip(regrown) {
             let (roots, nodes) =
                 new.as_ref().map_or((old.roots, old.nodes), |t| (t.roots, t.nodes.len() as u32));
-            trees.push(CellTrees { roots, first_node: count, nodes });
+            trees.push(CellTrees { roots, first_node: count, nodes, ..*old });
             count += nodes;
         }
         let (mut nodes, mut children) = (vec![[0.0; 4]; count as usize], vec![0; count as usize]);

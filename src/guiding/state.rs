@@ -1,11 +1,8 @@
 //! What is known of all cells, flat: numbers that a pass changes, and what the trees look like, which changes between passes.
 //! The GPU's buffers `guide_state` and `guide_trees` hold the same (kernels/guiding/commit.wesl).
 
-use super::commit::{CELLS_A_THREAD, cell_rows, lay_out_nodes};
-use super::table::CELL_ROWS;
-use super::{GuideMode, GuideUniforms};
+use super::GuideUniforms;
 use bytemuck::{Pod, Zeroable};
-use rayon::prelude::*;
 use std::ops::Range;
 
 /// A row of a table or of a state.
@@ -27,7 +24,7 @@ pub type NodeState = [f32; 4];
 /// Rows of a [`CellState`].
 pub const CELL_STATE_ROWS: u32 = 4;
 
-/// Where a cell's quadtrees are: three words.
+/// Where a cell's row of the index and its quadtrees are: four words.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
 pub struct CellTrees {
@@ -37,6 +34,8 @@ pub struct CellTrees {
     pub first_node: u32,
     /// How many nodes it has, breadth first, so that children lie next to each other.
     pub nodes: u32,
+    /// The row of the index that leads to the cell; where several do, one of them.
+    pub row: u32,
 }
 
 impl CellTrees {
@@ -69,87 +68,88 @@ pub struct Committed {
     pub missing: Vec<u32>,
 }
 
+/// What of an engine's table is not what the learner has: each includes what comes before it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Stale {
+    /// Estimates of the pixels alone.
+    #[default]
+    Pixels,
+    /// All rows of the table.
+    Rows,
+    /// What is known, too, since cells or trees changed their shape.
+    State,
+}
+
 /// What an engine gets before a pass.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct GuideUpdate<'a> {
     pub uniforms: GuideUniforms,
-    /// The index and what is known; None where both are as the engine's last commit left them.
-    pub anew: Option<(&'a [u32], &'a GuideState)>,
+    /// All rows of the table; None where all but the pixels are as the engine's last commit left them.
+    pub rows: Option<Vec<Row>>,
+    /// What is known; None where it is as the engine's last commit left it. Never without rows.
+    pub state: Option<&'a GuideState>,
     /// Estimates of the pixels' luminances, for learnt roulette.
     pub pixels: &'a [f32],
 }
 
 impl GuideState {
-    /// Adds a cell behind the others.
-    pub(super) fn push(&mut self, cell: CellState, roots: u32, nodes: &[NodeState], children: &[u32]) {
-        let trees = CellTrees { roots, first_node: self.nodes.len() as u32, nodes: nodes.len() as u32 };
+    /// Adds a cell behind the others, to which a row of the index leads.
+    pub(super) fn push(
+        &mut self,
+        row: u32,
+        cell: CellState,
+        roots: u32,
+        nodes: &[NodeState],
+        children: &[u32],
+    ) {
+        let trees = CellTrees { roots, first_node: self.nodes.len() as u32, nodes: nodes.len() as u32, row };
         self.cells.push(cell);
         self.trees.push(trees);
         self.nodes.extend_from_slice(nodes);
         self.children.extend_from_slice(children);
     }
 
-    /// Adds a copy of a cell behind the others.
-    pub(super) fn push_copy(&mut self, cell: usize) {
+    /// Adds a copy of a cell behind the others, to which a row of the index leads.
+    pub(super) fn push_copy(&mut self, row: u32, cell: usize) {
         let trees = self.trees[cell];
         self.cells.push(self.cells[cell]);
-        self.trees.push(CellTrees { first_node: self.nodes.len() as u32, ..trees });
+        self.trees.push(CellTrees { first_node: self.nodes.len() as u32, row, ..trees });
         self.nodes.extend_from_within(trees.range());
         self.children.extend_from_within(trees.range());
     }
 
-    /// Each cell with its nodes and their places in a table's rows of cells and of nodes.
-    pub(super) fn parts<'a>(&'a mut self, rows: &'a mut TableRows<'_>) -> Vec<CellPart<'a>> {
+    /// A cell with its quadtrees.
+    pub(super) fn cell(&self, number: usize) -> KnownCell<'_> {
+        let trees = self.trees[number];
+        let (nodes, children) = (&self.nodes[trees.range()], &self.children[trees.range()]);
+        KnownCell { cell: &self.cells[number], trees, nodes, children }
+    }
+
+    /// All cells, each with what a commit changes of its quadtrees.
+    pub(super) fn parts(&mut self) -> Vec<CellPart<'_>> {
         let (mut nodes, mut children) = (self.nodes.as_mut_slice(), self.children.as_slice());
-        let (cell_rows, _) = rows.cells.as_chunks_mut();
-        let mut node_rows = &mut *rows.nodes;
-        let cells = self.cells.iter_mut().zip(&self.trees).zip(cell_rows).enumerate();
-        cells
-            .map(|(index, ((cell, &trees), cell_rows))| {
-                let count = trees.nodes as usize;
-                CellPart {
-                    index,
-                    cell,
-                    trees,
-                    nodes: nodes.split_off_mut(..count).unwrap_or_default(),
-                    children: children.split_off(..count).unwrap_or_default(),
-                    cell_rows,
-                    node_rows: node_rows.split_off_mut(..count).unwrap_or_default(),
-                }
-            })
-            .collect()
-    }
-
-    /// How all cells and nodes lie in a table.
-    pub fn lay_out(&self, mode: GuideMode, rows: &mut TableRows) {
-        let (cells, _) = rows.cells.as_chunks_mut();
-        let known = self.cells.par_iter().zip(&self.trees).with_min_len(CELLS_A_THREAD);
-        known.zip(cells).for_each(|((cell, trees), rows)| *rows = cell_rows(mode, cell, trees));
-        let mut node_rows = &mut *rows.nodes;
-        let part =
-            |trees: &CellTrees| (*trees, node_rows.split_off_mut(..trees.nodes as usize).unwrap_or_default());
-        let parts: Vec<(CellTrees, &mut [Row])> = self.trees.iter().map(part).collect();
-        parts.into_par_iter().with_min_len(CELLS_A_THREAD).for_each(|(trees, rows)| {
-            let range = trees.range();
-            lay_out_nodes(&self.nodes[range.clone()], &self.children[range], trees.first_node, rows);
-        });
+        let cells = self.cells.iter_mut().zip(&self.trees).enumerate();
+        let part = |(index, (cell, &trees)): (usize, (_, &CellTrees))| {
+            let count = trees.nodes as usize;
+            CellPart {
+                index,
+                cell,
+                trees,
+                nodes: nodes.split_off_mut(..count).unwrap_or_default(),
+                children: children.split_off(..count).unwrap_or_default(),
+            }
+        };
+        cells.map(part).collect()
     }
 }
 
-/// Rows of a table that a commit writes.
-pub struct TableRows<'a> {
-    /// [`CELL_ROWS`] each.
-    pub cells: &'a mut [Row],
-    pub nodes: &'a mut [Row],
-}
-
-impl<'a> TableRows<'a> {
-    /// Those of a table's rows.
-    pub fn of(uniforms: &GuideUniforms, rows: &'a mut [Row]) -> TableRows<'a> {
-        let rows = &mut rows[uniforms.cells_at as usize..];
-        let (cells, rows) = rows.split_at_mut((CELL_ROWS * uniforms.cell_count) as usize);
-        TableRows { cells, nodes: &mut rows[..uniforms.node_count as usize] }
-    }
+/// A cell with its quadtrees.
+#[derive(Clone, Copy)]
+pub(super) struct KnownCell<'a> {
+    pub cell: &'a CellState,
+    pub trees: CellTrees,
+    pub nodes: &'a [NodeState],
+    pub children: &'a [u32],
 }
 
 /// A cell with all that its commit changes.
@@ -159,6 +159,4 @@ pub(super) struct CellPart<'a> {
     pub trees: CellTrees,
     pub nodes: &'a mut [NodeState],
     pub children: &'a [u32],
-    pub cell_rows: &'a mut [Row; CELL_ROWS as usize],
-    pub node_rows: &'a mut [Row],
 }

@@ -2,10 +2,10 @@
 //! directions. Flat rows of four words, the same on the CPU and on the GPU. GPU twin: kernels/guiding/table.wesl
 
 use super::octant::{Draws, octant_of, octant_share, pdf_in_octant, sample_in_octant};
-use super::quadtree::{Leaf, Node, descend, octant_coordinates, octant_direction};
+use super::quadtree::{find_leaf, leaf_density, leaf_number, octant_coordinates, ticket_direction};
 use crate::gpu_struct;
 use glam::{Vec2, Vec3, Vec4};
-use std::f32::consts::{FRAC_1_PI, FRAC_2_PI};
+use std::f32::consts::FRAC_1_PI;
 
 gpu_struct! {
     /// Numbers of the guide for one pass; a storage buffer (docs/DECISIONS.md).
@@ -20,10 +20,8 @@ gpu_struct! {
         cells_z: u32,
         /// Sectors of the normal: 6, or 1 for none.
         sectors: u32,
-        /// Row of the first cell; before it lies the index, four words a row.
-        cells_at: u32,
-        /// Row of the first quadtree node.
-        nodes_at: u32,
+        /// Row of the first word that a cell has learnt; before it lies the index.
+        words_at: u32,
         /// Row of the pixels' estimates, four to a row.
         pixels_at: u32,
         cell_count: u32,
@@ -44,13 +42,14 @@ gpu_struct! {
         /// What a pass leaves of what was known. Adaptive, octant: the share of its weight. Bansal's rule: −ln(1 − α), by
         /// whose multiples visits forget.
         memory: f32,
+        _pad0: u32,
     }
 }
 
-/// Rows of a cell.
-pub const CELL_ROWS: u32 = 3;
-/// Marks a word of the index that leads to eight finer words.
+/// Marks a row of the index that leads to eight finer rows.
 pub const FINER: u32 = 1 << 31;
+/// Bits of a row of the index that number its cell.
+pub const CELL_BITS: u32 = 24;
 /// No cell has been made here yet.
 pub const NO_CELL: u32 = u32::MAX;
 /// Levels of cells below the base grid.
@@ -78,10 +77,12 @@ pub struct CellPlace {
     pub base: u32,
     /// Which eighth of the cell: where it would be cut.
     pub eighth: u32,
+    /// Row of the index that tells of the cell.
+    pub row: u32,
 }
 
 impl GuideUniforms {
-    /// Words of the index that belong to the base grid.
+    /// Rows of the index that belong to the base grid.
     pub fn base_words(&self) -> u32 {
         self.cells_x * self.cells_y * self.cells_z * self.sectors
     }
@@ -95,13 +96,16 @@ pub struct GuideTable {
 }
 
 /// A cell's learnt distribution.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Cell {
     pub index: u32,
-    /// Adaptive: probability of each octant. Octant and Bansal: mean radiance that arrives through it.
+    /// Its first word in the table. Adaptive: of its tickets; behind them lies the map of its leaves, before them the slot
+    /// of its first leaf below an octant.
+    pub at: u32,
+    /// Adaptive: it has 2^log_tickets tickets.
+    pub log_tickets: u32,
+    /// Octant and Bansal: mean radiance that arrives through each octant.
     pub octants: [f32; 8],
-    /// Quadtree roots: a bit per octant that has one, below the number of the first.
-    pub roots: u32,
     /// Irradiance of what direct light does not account for; octant and Bansal: ΣQ, which nothing but trust depends on.
     pub irradiance: f32,
     /// Share of guided directions, relative to the table's; 0 before the cell has learnt.
@@ -109,17 +113,10 @@ pub struct Cell {
 }
 
 impl Cell {
-    /// The root node of an octant's quadtree, None if the octant is one leaf.
-    fn root(&self, octant: u32) -> Option<u32> {
-        let mask = self.roots & 255;
-        let before = (mask & ((1 << octant) - 1)).count_ones();
-        (mask >> octant & 1 == 1).then_some((self.roots >> 8) + before)
-    }
-
-    pub fn rows(&self) -> [[u32; 4]; CELL_ROWS as usize] {
-        let bits = |values: &[f32]| std::array::from_fn(|i| values[i].to_bits());
-        let last = [self.roots, self.irradiance.to_bits(), self.trust.to_bits(), 0];
-        [bits(&self.octants[..4]), bits(&self.octants[4..]), last]
+    /// As the index tells of it.
+    pub fn row(&self) -> [u32; 4] {
+        let number = self.index | self.log_tickets << CELL_BITS;
+        [self.at, number, self.irradiance.to_bits(), self.trust.to_bits()]
     }
 }
 
@@ -130,8 +127,16 @@ fn grid_position(uniforms: &GuideUniforms, position: Vec3) -> Vec3 {
 }
 
 impl GuideTable {
-    fn word(&self, index: u32) -> u32 {
-        self.rows[(index / 4) as usize][(index % 4) as usize]
+    /// Word `index` of those from row `first` on.
+    #[inline]
+    fn word_from(&self, first: u32, index: u32) -> u32 {
+        self.rows.as_flattened()[(4 * first + index) as usize]
+    }
+
+    /// Word `index` of what the cells have learnt.
+    #[inline]
+    pub fn table_word(&self, index: u32) -> u32 {
+        self.word_from(self.uniforms.words_at, index)
     }
 
     /// The cell at a surface point. Total: positions outside belong to the cells at the border.
@@ -145,42 +150,50 @@ impl GuideTable {
         let base = ((z * u.cells_y + y) * u.cells_x + x) * u.sectors + sector;
         let mut inside = p - Vec3::new(x as f32, y as f32, z as f32);
         let mut eighth = next_eighth(&mut inside);
-        let mut word = self.word(base);
+        let (mut row, [mut first, mut number, ..]) = (base, self.rows[base as usize]);
         for _ in 0..MAX_CELL_LEVELS {
-            if word == NO_CELL || word & FINER == 0 {
+            if number == NO_CELL || number & FINER == 0 {
                 break;
             }
-            word = self.word((word & !FINER) + eighth);
+            row = first + eighth;
+            [first, number, ..] = self.rows[row as usize];
             eighth = next_eighth(&mut inside);
         }
-        CellPlace { cell: word, base, eighth }
+        let cell = if number == NO_CELL { NO_CELL } else { number & ((1 << CELL_BITS) - 1) };
+        CellPlace { cell, base, eighth, row }
     }
 
-    pub fn cell(&self, index: u32) -> Cell {
-        let at = (self.uniforms.cells_at + CELL_ROWS * index) as usize;
-        let [low, high, last] = [self.rows[at], self.rows[at + 1], self.rows[at + 2]];
-        let float = |i: usize| f32::from_bits(if i < 4 { low[i] } else { high[i - 4] });
+    /// The cell that a row of the index tells of.
+    pub fn cell(&self, row: u32) -> Cell {
+        let [at, number, irradiance, trust] = self.rows[row as usize];
+        let octants = match self.uniforms.sectors {
+            1 => std::array::from_fn(|a| f32::from_bits(self.table_word(at + a as u32))),
+            _ => [0.0; 8],
+        };
         Cell {
-            index,
-            octants: std::array::from_fn(float),
-            roots: last[0],
-            irradiance: f32::from_bits(last[1]),
-            trust: f32::from_bits(last[2]),
+            index: number & ((1 << CELL_BITS) - 1),
+            at,
+            log_tickets: number >> CELL_BITS,
+            octants,
+            irradiance: f32::from_bits(irradiance),
+            trust: f32::from_bits(trust),
         }
     }
 
-    pub fn node(&self, index: u32) -> Node {
-        Node::from_row(self.rows[(self.uniforms.nodes_at + index) as usize])
+    /// All cells, in the order of their numbers.
+    pub fn cells(&self) -> Vec<Cell> {
+        let mut row_of = vec![NO_CELL; self.uniforms.cell_count as usize];
+        for (row, [_, number, ..]) in (0..).zip(&self.rows[..self.uniforms.words_at as usize]) {
+            if number & FINER == 0 {
+                row_of[(number & ((1 << CELL_BITS) - 1)) as usize] = row;
+            }
+        }
+        row_of.into_iter().map(|row| self.cell(row)).collect()
     }
 
     /// The learnt estimate of a pixel's radiance, 0 before there is one.
     pub fn pixel_estimate(&self, pixel: u32) -> f32 {
-        f32::from_bits(self.word(4 * self.uniforms.pixels_at + pixel))
-    }
-
-    /// Where what arrives from `direction` is added up: a slot of the sums.
-    fn slot(&self, cell: u32, octant: u32, leaf: &Leaf) -> u32 {
-        leaf.quarter.map_or(8 * cell + octant, |quarter| 8 * self.uniforms.cell_count + quarter)
+        f32::from_bits(self.word_from(self.uniforms.pixels_at, pixel))
     }
 }
 
@@ -205,25 +218,31 @@ pub struct GuidedDensity {
 pub mod adaptive {
     use super::*;
 
-    fn leaf_density(table: &GuideTable, cell: &Cell, octant: u32, leaf: &Leaf) -> GuidedDensity {
-        GuidedDensity {
-            pdf: cell.octants[octant as usize] * FRAC_2_PI * leaf.density,
-            slot: table.slot(cell.index, octant, leaf),
+    /// Density of `direction` by the map of the cell's leaves, and its slot.
+    #[inline]
+    pub fn density(table: &GuideTable, cell: &Cell, direction: Vec3) -> GuidedDensity {
+        let (octant, p) = (octant_of(direction), octant_coordinates(direction));
+        let leaf = find_leaf(|i| table.table_word(i), cell.at + (1 << cell.log_tickets), octant, p);
+        let slot = leaf_slot(table, cell, leaf_number(leaf));
+        GuidedDensity { pdf: leaf_density(leaf, cell.log_tickets), slot }
+    }
+
+    fn leaf_slot(table: &GuideTable, cell: &Cell, number: u32) -> u32 {
+        match number {
+            octant @ 0..8 => 8 * cell.index + octant,
+            _ => table.table_word(cell.at - 1) + number - 8,
         }
     }
 
-    /// Density and slot of `direction`.
-    pub fn density(table: &GuideTable, cell: &Cell, direction: Vec3) -> GuidedDensity {
-        let octant = octant_of(direction);
-        let found = descend(|i| table.node(i), cell.root(octant), octant_coordinates(direction), false);
-        leaf_density(table, cell, octant, &found.leaf)
-    }
-
-    /// A direction with that density, and what the table says of it. `choice` picks the octant.
-    pub fn sample(table: &GuideTable, cell: &Cell, choice: f32, u: Vec2) -> (Vec3, GuidedDensity) {
-        let (octant, _) = choose_octant(&cell.octants, 1.0, choice);
-        let found = descend(|i| table.node(i), cell.root(octant), u, true);
-        (octant_direction(octant, found.point), leaf_density(table, cell, octant, &found.leaf))
+    /// A direction with that density, and the density: by one of the cell's tickets, all of which are as likely.
+    #[inline]
+    pub fn sample(table: &GuideTable, cell: &Cell, u: Vec2) -> (Vec3, f32) {
+        let tickets = 1 << cell.log_tickets;
+        let draw = u.x * tickets as f32;
+        let drawn = (draw as u32).min(tickets - 1);
+        let ticket = table.table_word(cell.at + drawn);
+        let direction = ticket_direction(ticket, Vec2::new(draw - drawn as f32, u.y));
+        (direction, leaf_density(ticket, cell.log_tickets))
     }
 }
 

@@ -54,8 +54,7 @@ impl Transport<'_> {
             return None;
         }
         let place = guidance.table.place(surface.position, normal);
-        let empty = Cell { index: 0, octants: [0.0; 8], roots: 0, irradiance: 0.0, trust: 0.0 };
-        let cell = if place.cell == NO_CELL { empty } else { guidance.table.cell(place.cell) };
+        let cell = if place.cell == NO_CELL { Cell::default() } else { guidance.table.cell(place.row) };
         let shares = match guidance.mode {
             GuideMode::Octant if cell.trust > 0.0 => octant_shares(normal),
             _ => [0.0; 8],
@@ -80,7 +79,8 @@ impl Transport<'_> {
     ) -> GuidedDensity {
         match guidance.mode {
             GuideMode::Octant => octants::density(&point.cell, normal, &point.shares, point.mean, wi),
-            _ => adaptive::density(guidance.table, &point.cell, wi),
+            GuideMode::Adaptive => adaptive::density(guidance.table, &point.cell, wi),
+            _ => GuidedDensity { pdf: 0.0, slot: 8 * point.cell.index + octant_of(wi) },
         }
     }
 
@@ -124,13 +124,15 @@ impl Transport<'_> {
         u: Vec2,
         draws: &Draws,
     ) -> (Vec3, GuidedDensity) {
-        if let Some(guidance) = self.guidance.filter(|g| g.mode == GuideMode::Adaptive) {
-            let choice = draws.get(0);
-            if choice.x < point.mixture {
-                let (wi, density) = adaptive::sample(guidance.table, &point.cell, choice.w, choice.yz());
-                let pdf = point.mixture_pdf(pdf_cosine(normal.dot(wi)), density.pdf);
-                return (wi, GuidedDensity { pdf, ..density });
-            }
+        // While it teaches, the map tells the leaf, too.
+        let informed = |g: &Guidance| g.mode == GuideMode::Adaptive && g.table.uniforms.learning == 0;
+        if let Some(guidance) = self.guidance.filter(informed)
+            && u.x < point.mixture
+        {
+            let u = Vec2::new(u.x / point.mixture, u.y);
+            let (wi, guided) = adaptive::sample(guidance.table, &point.cell, u);
+            let pdf = point.mixture_pdf(pdf_cosine(normal.dot(wi)), guided);
+            return (wi, GuidedDensity { pdf, slot: 0 });
         }
         let wi = self.guided_direction(point, normal, u, draws);
         (wi, self.guided_density(point, normal, wi))
@@ -140,18 +142,24 @@ impl Transport<'_> {
     #[inline]
     pub fn guided_direction(&self, point: &GuidePoint, normal: Vec3, u: Vec2, draws: &Draws) -> Vec3 {
         let Some(guidance) = self.guidance else { return normal };
-        if guidance.mode.is_bansal() {
-            return redrawn_direction(point, guidance.table.uniforms.threshold, normal, u, draws);
-        }
-        let choice = draws.get(0);
-        if choice.x >= point.mixture {
-            return to_world(sample_cosine(u), normal);
-        }
-        let u = Vec4::new(choice.x / point.mixture, choice.y, choice.z, choice.w);
         match guidance.mode {
-            GuideMode::Octant => octants::sample(&point.cell, normal, &point.shares, point.mean, u, draws),
-            _ => adaptive::sample(guidance.table, &point.cell, u.w, u.yz()).0,
+            GuideMode::Adaptive if u.x < point.mixture => {
+                let u = Vec2::new(u.x / point.mixture, u.y);
+                return adaptive::sample(guidance.table, &point.cell, u).0;
+            }
+            GuideMode::Octant => {
+                let choice = draws.get(0);
+                if choice.x < point.mixture {
+                    let v = Vec4::new(choice.x / point.mixture, choice.y, choice.z, choice.w);
+                    return octants::sample(&point.cell, normal, &point.shares, point.mean, v, draws);
+                }
+            }
+            mode if mode.is_bansal() => {
+                return redrawn_direction(point, guidance.table.uniforms.threshold, normal, u, draws);
+            }
+            _ => {}
         }
+        own_direction(guidance.mode, point, normal, u)
     }
 
     /// Counts the visit of a path that leaves at an angle of that cosine with that density, and gives the weight that
@@ -195,6 +203,18 @@ impl Transport<'_> {
         }
     }
 }
+
+/// The material's own choice. With quadtrees one pair of numbers decides all: strips of the unit square choose who guides
+/// and by which ticket, so directions are as evenly spread as the pair is over the samples of a pixel.
+#[inline]
+fn own_direction(mode: GuideMode, point: &GuidePoint, normal: Vec3, u: Vec2) -> Vec3 {
+    let x = match mode {
+        GuideMode::Adaptive => ((u.x - point.mixture) / (1.0 - point.mixture)).min(BELOW_ONE),
+        _ => u.x,
+    };
+    to_world(sample_cosine(Vec2::new(x, u.y)), normal)
+}
+const BELOW_ONE: f32 = 1.0 - f32::EPSILON / 2.0;
 
 /// Bansal's rule.
 #[inline]

@@ -7,9 +7,13 @@ use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use qtracer::guiding::lessons::{VISIT_UNIT, fixed};
 use qtracer::guiding::octant::{octant_of, octant_share, octant_signs};
-use qtracer::guiding::quadtree::{MAX_DEPTH, descend, octant_coordinates, octant_direction};
-use qtracer::guiding::table::{Cell, FINER, MAX_CELL_LEVELS, NO_CELL, normal_sector};
+use qtracer::guiding::quadtree::{
+    BLOCK_WORDS, FINER_BLOCK, MAX_DEPTH, TICKET_BITS, find_leaf, leaf_density, leaf_depth, leaf_number,
+    octant_coordinates, octant_direction, ticket_direction,
+};
+use qtracer::guiding::table::{CELL_BITS, Cell, FINER, MAX_CELL_LEVELS, NO_CELL, normal_sector};
 use qtracer::guiding::{GuideMode, GuideTable, LessonSums, Transition};
+use std::collections::BTreeMap;
 use std::f64::consts::{FRAC_PI_2, PI};
 use std::sync::LazyLock;
 
@@ -81,8 +85,8 @@ fn cell_by_boxes(table: &GuideTable, position: Vec3, normal: Vec3) -> Option<(u3
     }
     let sector = if u.sectors > 1 { normal_sector(normal) } else { 0 };
     let [x, y, z] = corner.to_array().map(|v| v as u32);
-    let word = |i: u32| table.rows[i as usize / 4][i as usize % 4];
-    let mut at = word(((z * u.cells_y + y) * u.cells_x + x) * u.sectors + sector);
+    let row = |i: u32| table.rows[i as usize];
+    let mut at = row(((z * u.cells_y + y) * u.cells_x + x) * u.sectors + sector);
     let (mut low, mut size) = (corner, 1.0);
     for _ in 0..=MAX_CELL_LEVELS {
         size *= 0.5;
@@ -92,10 +96,13 @@ fn cell_by_boxes(table: &GuideTable, position: Vec3, normal: Vec3) -> Option<(u3
         }
         let high = DVec3::from(inside.to_array().map(|v| f64::from(u8::from(v > 0.0))));
         let eighth = (high.x + 2.0 * high.y + 4.0 * high.z) as u32;
-        if at == NO_CELL || at & FINER == 0 {
-            return Some((at, eighth));
+        if at[1] == NO_CELL {
+            return Some((NO_CELL, eighth));
         }
-        at = word((at & !FINER) + eighth);
+        if at[1] & FINER == 0 {
+            return Some((at[1] & ((1 << CELL_BITS) - 1), eighth));
+        }
+        at = row(at[0] + eighth);
         low += high * size;
     }
     panic!("cells are cut more than {MAX_CELL_LEVELS} times");
@@ -173,117 +180,108 @@ proptest! {
     }
 }
 
-/// A leaf as recursion from the root finds it: the slot, the rectangle, the density.
-struct Rectangle {
-    quarter: Option<u32>,
+/// A square of the map as recursion from an octant's block finds it.
+struct Square {
+    octant: u32,
     low: Vec2,
     size: f32,
-    density: f32,
+    leaf: u32,
 }
 
-fn leaves(table: &GuideTable, root: Option<u32>) -> Vec<Rectangle> {
+fn map_of(cell: &Cell) -> u32 {
+    cell.at + (1 << cell.log_tickets)
+}
+
+fn squares(table: &GuideTable, cell: &Cell) -> Vec<Square> {
     let mut found = Vec::new();
-    let mut open = vec![(root, Rectangle { quarter: None, low: Vec2::ZERO, size: 1.0, density: 1.0 })];
-    while let Some((node, leaf)) = open.pop() {
-        let Some(index) = node else {
-            found.push(leaf);
-            continue;
-        };
-        let node = table.node(index);
-        for quarter in 0..4 {
-            let (right, top) = ((quarter & 1) as usize, quarter >> 1);
-            let phi = [node.low_phi, 1.0 - node.low_phi][right];
-            let z = [node.low_z[right], 1.0 - node.low_z[right]][top as usize];
-            let size = 0.5 * leaf.size;
-            let low = leaf.low + Vec2::new(right as f32, top as f32) * size;
-            let density = leaf.density * 4.0 * phi * z;
-            open.push((
-                node.child(quarter),
-                Rectangle { quarter: Some(4 * index + quarter), low, size, density },
-            ));
+    let mut open: Vec<_> = (0..8).map(|octant| (octant, octant, Vec2::ZERO, 1.0f32)).collect();
+    while let Some((octant, block, low, size)) = open.pop() {
+        for i in 0..BLOCK_WORDS {
+            let size = 0.25 * size;
+            let low = low + Vec2::new((i % 4) as f32, (i / 4) as f32) * size;
+            match table.table_word(map_of(cell) + BLOCK_WORDS * block + i) {
+                finer if finer & FINER_BLOCK != 0 => open.push((octant, finer & !FINER_BLOCK, low, size)),
+                leaf => found.push(Square { octant, low, size, leaf }),
+            }
         }
     }
     found
 }
 
-/// The root of an octant's tree as the cell's words have it.
-fn root(cell: &Cell, octant: u32) -> Option<u32> {
-    let before = (cell.roots & ((1 << octant) - 1)).count_ones();
-    (cell.roots >> octant & 1 == 1).then_some((cell.roots >> 8) + before)
+/// The cell's tickets.
+fn tickets(table: &GuideTable, cell: &Cell) -> Vec<u32> {
+    (0..1 << cell.log_tickets).map(|i| table.table_word(cell.at + i)).collect()
 }
 
-/// All cells of the table.
-fn cells(table: &GuideTable) -> impl Iterator<Item = Cell> + '_ {
-    (0..table.uniforms.cell_count).map(|i| table.cell(i))
-}
-
-/// Descent ↔ rectangles: a leaf's points lead to it, and the leaf of a point holds it; densities are probabilities over
-/// areas; the leaves cover the sphere.
+/// Tickets, map and points agree: the squares of a leaf make up its area, a leaf's points lead to it, each ticket's direction
+/// lies in the leaf that it names, and leaves cover the sphere. The density of a leaf is its share of the tickets over its
+/// solid angle.
 #[test]
 fn leaves_cover_the_sphere_and_hold_their_points() {
     let table = &ADAPTIVE.table;
-    let (mut deepest, mut checked) = (1.0f32, 0);
-    for cell in cells(table).step_by(7) {
-        let mut area = 0.0;
-        for octant in 0..8 {
-            let leaves = leaves(table, root(&cell, octant));
-            let mut probability = 0.0;
-            for (i, leaf) in leaves.iter().enumerate() {
-                let share = f64::from(leaf.size) * f64::from(leaf.size);
-                area += FRAC_PI_2 * share;
-                probability += share * f64::from(leaf.density);
-                deepest = deepest.min(leaf.size);
-                let u = random(3, i as u32, octant);
-                for p in [leaf.low, leaf.low + Vec2::new(u.x, u.y) * leaf.size] {
-                    let found = descend(|i| table.node(i), root(&cell, octant), p, false).leaf;
-                    assert_eq!((found.quarter, found.density), (leaf.quarter, leaf.density), "{p}");
-                }
-            }
-            // Where nothing was learnt about an octant, its tree need not be one.
-            if cell.octants[octant as usize] > 0.0 {
-                assert!(
-                    (probability - 1.0).abs() < 1e-5,
-                    "octant {octant} of cell {}: {probability}",
-                    cell.index
-                );
-            }
-            for i in 0..64 {
-                let u = random(4, i, octant);
-                let p = Vec2::new(u.x, u.y);
-                let found = descend(|i| table.node(i), root(&cell, octant), p, false).leaf;
-                let leaf = leaves.iter().find(|leaf| leaf.quarter == found.quarter).unwrap();
-                assert!(p.cmpge(leaf.low).all() && (p - leaf.low).max_element() < leaf.size, "{p}");
-                checked += 1;
+    let (mut deepest, mut checked) = (0, 0);
+    for cell in table.cells().iter().step_by(7) {
+        let squares = squares(table, cell);
+        let mut leaves: BTreeMap<u32, (u32, f64)> = BTreeMap::new();
+        for (i, square) in squares.iter().enumerate() {
+            let (leaf, area) = leaves.entry(leaf_number(square.leaf)).or_insert((square.leaf, 0.0));
+            *area += f64::from(square.size * square.size);
+            assert_eq!(*leaf, square.leaf, "one leaf, two words");
+            let u = random(3, i as u32, square.octant);
+            let p = square.low + Vec2::new(u.x, u.y) * square.size;
+            let found = find_leaf(|i| table.table_word(i), map_of(cell), square.octant, p);
+            assert_eq!(found, square.leaf, "{p}");
+            checked += 1;
+        }
+        let tickets = tickets(table, cell);
+        let (mut sphere, mut probability) = (0.0, 0.0);
+        for &(leaf, area) in leaves.values() {
+            assert_eq!(area, 0.25f64.powi(leaf_depth(leaf) as i32), "squares of a leaf");
+            let density = f64::from(leaf_density(leaf, cell.log_tickets));
+            sphere += FRAC_PI_2 * area;
+            probability += FRAC_PI_2 * area * density;
+            deepest = deepest.max(leaf_depth(leaf));
+        }
+        assert!((sphere / (4.0 * PI) - 1.0).abs() < 1e-12, "leaves cover {sphere}");
+        let expected = f64::from(u8::from(cell.irradiance > 0.0));
+        assert!((probability - expected).abs() < 1e-5, "cell {}: {probability}", cell.index);
+        for (i, ticket) in tickets.iter().enumerate().filter(|_| cell.irradiance > 0.0) {
+            let u = random(4, i as u32, 0);
+            let direction = ticket_direction(*ticket, 0.01 + 0.98 * Vec2::new(u.x, u.y));
+            let leaf = find_leaf(
+                |i| table.table_word(i),
+                map_of(cell),
+                octant_of(direction),
+                octant_coordinates(direction),
+            );
+            let count = tickets.iter().filter(|other| *other == ticket).count() as f64;
+            let density = count / tickets.len() as f64 / (FRAC_PI_2 * leaves[&leaf_number(leaf)].1);
+            for told in [leaf_density(*ticket, cell.log_tickets), leaf_density(leaf, cell.log_tickets)] {
+                assert!((f64::from(told) / density - 1.0).abs() < 1e-6, "{told} for {density}");
             }
         }
-        assert!((area / (4.0 * PI) - 1.0).abs() < 1e-12, "leaves cover {area}");
     }
-    assert_eq!(deepest, 0.5f32.powi(MAX_DEPTH as i32), "no tree is as deep as it may be");
+    assert_eq!(deepest, MAX_DEPTH, "no tree is as deep as it may be");
     assert!(checked > 10_000, "{checked}");
 }
 
 /// What is wrong with a table's numbers, if anything.
 fn table_fault(table: &GuideTable) -> Option<String> {
-    let u = &table.uniforms;
-    let share = |v: f32| (0.0..=1.0).contains(&v);
-    for cell in cells(table) {
-        let sum: f32 = cell.octants.iter().sum();
-        let adaptive = u.sectors > 1;
+    let adaptive = table.uniforms.sectors > 1;
+    for cell in table.cells() {
         let right = cell.octants.iter().all(|q| q.is_finite() && *q >= 0.0)
-            && (!adaptive || cell.trust == 0.0 || (sum - 1.0).abs() < 1e-5)
             && cell.irradiance.is_finite()
             && cell.irradiance >= 0.0
-            && share(cell.trust);
+            && (0.0..=1.0).contains(&cell.trust);
         if !right {
             return Some(format!("{cell:?}"));
         }
-    }
-    for i in 0..u.node_count {
-        let node = table.node(i);
-        let children =
-            (0..4).filter_map(|quarter| node.child(quarter)).all(|child| child < u.node_count && child > i);
-        if !(share(node.low_phi) && node.low_z.iter().all(|z| share(*z)) && children) {
-            return Some(format!("{i}: {node:?}"));
+        if adaptive && cell.trust > 0.0 {
+            let tickets = tickets(table, &cell);
+            let whole = |same: &[u32]| same[0] & ((1 << TICKET_BITS) - 1) == same.len() as u32;
+            if !tickets.chunk_by(|a, b| a == b).all(whole) {
+                return Some(format!("tickets of {cell:?}"));
+            }
         }
     }
     None
@@ -292,21 +290,30 @@ fn table_fault(table: &GuideTable) -> Option<String> {
 #[test]
 fn learnt_tables_hold_probabilities() {
     for mode in MODES {
-        let mut table = learnt(mode, 2).table;
+        let table = learnt(mode, 2).table;
         assert_eq!(table_fault(&table), None, "{mode}");
+        let cells = table.cells();
         assert!(
-            cells(&table).filter(|cell| cell.irradiance > 0.0).count() > 100,
+            cells.iter().filter(|cell| cell.irradiance > 0.0).count() > 100,
             "{mode} learnt next to nothing"
         );
-        // Negative control: a NaN, an infinity or a negative number in a cell is found.
-        let row = (table.uniforms.cells_at + 3 * 5) as usize;
+        // Negative control: a NaN, an infinity or a negative number in a cell is found, and a ticket that is another leaf's.
+        let row = table.rows.iter().position(|row| row[1] & FINER == 0).unwrap();
         for wrong in [f32::NAN, f32::INFINITY, -1.0] {
-            table.rows[row][1] = wrong.to_bits();
+            let mut table = table.clone();
+            table.rows[row][2] = wrong.to_bits();
             assert!(table_fault(&table).is_some(), "{mode}: {wrong} was not found");
         }
+        if mode == GuideMode::Adaptive {
+            let mut table = table.clone();
+            let known = cells.iter().find(|cell| cell.trust > 0.0).unwrap();
+            let words = 4 * table.uniforms.words_at as usize;
+            table.rows.as_flattened_mut()[words + known.at as usize] ^= 1;
+            assert!(table_fault(&table).is_some(), "a wrong ticket was not found");
+        }
     }
-    let finer = ADAPTIVE.table.rows[..ADAPTIVE.table.uniforms.cells_at as usize].iter().flatten();
-    let cuts = finer.filter(|word| **word != NO_CELL && **word & FINER != 0).count();
+    let index = &ADAPTIVE.table.rows[..ADAPTIVE.table.uniforms.words_at as usize];
+    let cuts = index.iter().filter(|row| row[1] != NO_CELL && row[1] & FINER != 0).count();
     assert!(cuts > 8, "{cuts} cells were cut");
 }
 

@@ -116,7 +116,7 @@ fn quadtree_directions_follow_their_density() {
         let learnt = learnt(GuideMode::Adaptive, seed);
         for i in [0, 1, 2, 11, 25] {
             let (cell, _) = learnt.cell(i);
-            let sample = |i| adaptive::sample(&learnt.table, &cell, numbers(i).w, numbers(i).yz()).0;
+            let sample = |i| adaptive::sample(&learnt.table, &cell, numbers(i).yz()).0;
             let pdf = |d| adaptive::density(&learnt.table, &cell, d).pdf;
             follows(&format!("quadtrees of cell {}", cell.index), sample, pdf);
             let uniform = 0.25 * std::f32::consts::FRAC_1_PI;

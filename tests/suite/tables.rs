@@ -96,7 +96,7 @@ fn lesson(mode: GuideMode, table: &GuideTable, light: &Light, seed: u32, i: u32)
     let cosine = normal.dot(direction);
     let octant_slot = 8 * place.cell + octant_of(direction);
     let slot = match mode {
-        GuideMode::Adaptive => adaptive::density(table, &table.cell(place.cell), direction).slot,
+        GuideMode::Adaptive => adaptive::density(table, &table.cell(place.row), direction).slot,
         _ => octant_slot,
     };
     let (visited, visit) = match mode {
@@ -130,11 +130,17 @@ pub fn learnt(mode: GuideMode, seed: u32) -> Learnt {
 }
 
 impl Learnt {
+    /// The row of the index that tells of the `i`-th of them.
+    pub fn row(&self, i: u32) -> u32 {
+        let (position, normal) = surface_point(77, i);
+        self.table.place(position, normal).row
+    }
+
     /// The `i`-th of some cells in which surfaces are, and the normal there.
     pub fn cell(&self, i: u32) -> (Cell, Vec3) {
         let (position, normal) = surface_point(77, i);
         let place = self.table.place(position, normal);
         assert_ne!(place.cell, NO_CELL, "no cell was made at {position}");
-        (self.table.cell(place.cell), normal)
+        (self.table.cell(place.row), normal)
     }
 }
