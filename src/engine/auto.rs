@@ -39,7 +39,8 @@ pub fn preferred_engine(scene: &CompiledScene, key: &KernelKey, options: &Render
 pub fn preferred_schedule(key: &KernelKey, options: &RenderOptions) -> Schedule {
     let kinds = key.kinds.iter().filter(|&&used| used).count();
     let walks_differ = key.triangles && kinds >= MANY_KINDS;
-    let usual = match walks_differ && key.guide.is_none() && options.grain.is_none() {
+    let usual = match walks_differ && (key.guide.is_none() || options.guide.trial) && options.grain.is_none()
+    {
         true => Schedule::Streamed,
         false => Schedule::Fused,
     };
@@ -50,6 +51,7 @@ pub fn preferred_schedule(key: &KernelKey, options: &RenderOptions) -> Schedule 
 mod tests {
     use super::*;
     use crate::Scene;
+    use crate::guiding::GuideMode;
 
     /// The schedule for a shipped scene.
     fn schedule(file: &str, change: impl FnOnce(&mut RenderOptions)) -> Schedule {
@@ -76,6 +78,9 @@ mod tests {
         let file = "interior.toml";
         assert_eq!(schedule(file, |o| o.schedule = Some(Schedule::Compacted)), Schedule::Compacted);
         assert_eq!(schedule(file, |o| o.grain = Some(4)), Schedule::Fused);
-        assert_eq!(schedule(file, |o| o.guide.mode = crate::guiding::GuideMode::Adaptive), Schedule::Fused);
+        assert_eq!(schedule(file, |o| o.guide.mode = GuideMode::Adaptive), Schedule::Fused);
+        // A guide that is only tried is given up in most scenes, so it is what follows that counts.
+        let tried = |o: &mut RenderOptions| (o.guide.mode, o.guide.trial) = (GuideMode::Adaptive, true);
+        assert_eq!(schedule(file, tried), Schedule::Streamed);
     }
 }

@@ -1,6 +1,7 @@
 //! What both GPU engines share: the scene's buffers, the radiance of a batch, its sums, its way to the host.
 
 use super::gpu_guide::GpuLessons;
+use super::pacing::PathLengths;
 use super::strategy::Pass;
 use super::{Batch, RenderError, RenderStats};
 use crate::film::{BlockSum, Film};
@@ -13,6 +14,7 @@ use crate::gpu::link::link;
 use crate::gpu::stage::{GRID_WIDTH, Schedule, Stage, WORKGROUP};
 use crate::scene::compiled::{CompiledScene, Uniforms};
 use crate::scene::rows;
+use crate::transport::roulette::Roulette;
 use std::collections::HashMap;
 use std::time::Instant;
 use wgpu::BufferUsages;
@@ -55,6 +57,13 @@ pub struct GpuFilm {
 pub struct Keys {
     pub own: KernelKey,
     pub plain: Option<KernelKey>,
+}
+
+impl Keys {
+    /// What these kernels say of the lengths of paths.
+    pub fn lengths(&self, max_bounces: u32) -> PathLengths {
+        PathLengths::unknown(max_bounces, self.own.roulette != Roulette::Off, self.own.direct_light)
+    }
 }
 
 /// The kernels of the stages that `key` needs.

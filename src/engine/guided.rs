@@ -6,10 +6,16 @@ use super::strategy::{Pass, Planner};
 use super::{Engine, Estimators, RenderError, RenderOptions};
 use crate::film::{CombinedFilm, Film, Image, rough_luminances};
 use crate::guiding::{GuideMode, GuideOptions, Learner, Stale};
+use crate::random::Sampler;
 use crate::scene::compiled::{CompiledScene, Uniforms};
 
 /// Samples that an estimate of a pixel's luminance should rest on, its neighbours' included.
 const ESTIMATE_SAMPLES: f64 = 512.0;
+
+/// What samples count, of what their noise says, once the guide is given up where samples are stratified. These converge faster
+/// than independent ones, so the few from before would else be most of the error: furnace-closed-90 came to 0.46 of plain
+/// tracing's efficiency at a second.
+const FADED: f64 = 0.125;
 
 /// What a guided render keeps besides the film.
 pub struct Guided {
@@ -20,6 +26,7 @@ pub struct Guided {
     pass: Pass,
     combined: CombinedFilm,
     first_sample: u32,
+    stratified: bool,
     /// Samples per pixel from which on roulette goes by what was learnt.
     mature: u32,
     /// What the engine had spent when the pass began: samples of each pixel, rays.
@@ -59,6 +66,7 @@ impl Guided {
             pass,
             combined: CombinedFilm::new(&Film::new(uniforms.width, uniforms.height)),
             first_sample: options.first_sample,
+            stratified: estimators.sampler == Sampler::Stratified,
             // What was loaded has been learnt already.
             mature: if options.guide_table.is_some() { 0 } else { options.guide.mature_samples },
             spent: (0, 0),
@@ -94,6 +102,9 @@ impl Guided {
         }
         self.planner.judge(&self.pass, self.combined.variance(), rays_per_path);
         self.pass = self.planner.next(samples);
+        if self.stratified && self.pass.gives_up() {
+            self.combined.fade(FADED);
+        }
         self.spent = (samples, rays);
         engine.set_pass(&self.pass)?;
         if self.pass.strategy.informed {

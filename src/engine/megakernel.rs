@@ -3,6 +3,7 @@
 use super::gpu_film::{GpuFilm, Keys, grid};
 use super::pacing::{Pacer, PathLengths};
 use super::tracer::Tracer;
+use super::workload::Workload;
 use super::{Batch, CancelToken, EngineKind, RenderError, RenderOptions};
 use crate::film::Film;
 use crate::gpu::device::Gpu;
@@ -27,13 +28,13 @@ impl MegakernelEngine {
         keys: Keys,
         options: &RenderOptions,
     ) -> Result<Self, RenderError> {
-        let first = if gpu.summary.software { 1 << 13 } else { 1 << 16 };
+        let first = Workload::new(scene, &keys.own, uniforms.max_bounces, &gpu.summary).first_paths();
         let mut gpu =
             GpuFilm::new(gpu, scene, uniforms, keys, Stage::megakernel, Schedule::Fused, "megakernel")?;
         let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC | BufferUsages::COPY_DST;
         gpu.buffers.create(&gpu.gpu, "counters", 4 * u64::from(counter_words(&keys.own)), usage)?;
-        let (lengths, grain) = (PathLengths::default(), options.grain);
-        Ok(MegakernelEngine { gpu, bind: None, pacer: Pacer::new(first), lengths, grain })
+        let lengths = keys.lengths(uniforms.max_bounces);
+        Ok(MegakernelEngine { gpu, bind: None, pacer: Pacer::new(first), lengths, grain: options.grain })
     }
 }
 
@@ -87,8 +88,8 @@ impl Tracer for MegakernelEngine {
             if cancel.is_cancelled() {
                 return Ok(false);
             }
-            let count = self.pacer.amount().min(batch.paths() - path);
-            let grain = self.grain.unwrap_or_else(|| self.lengths.paths_at_once(count, uniforms.max_bounces));
+            let count = self.pacer.part(batch.paths() - path);
+            let grain = self.grain.unwrap_or_else(|| self.lengths.paths_at_once(count));
             let grain = grain.min(self.most_grain(uniforms.max_bounces));
             self.gpu.write_uniforms(&Uniforms { first_path: path, path_count: count, grain, ..uniforms });
             let bind = self.bind.as_ref();
@@ -100,7 +101,7 @@ impl Tracer for MegakernelEngine {
             });
             self.gpu.receive_sums(film)?;
             let (counters, seconds): (Vec<u32>, f64) = self.gpu.land(flight, bytemuck::pod_collect_to_vec)?;
-            self.pacer.observe(count, seconds);
+            self.pacer.observe(count.into(), seconds);
             path += count;
             rays = counters[Counter::Rays as usize];
             self.lengths.observe(u64::from(rays), u64::from(path));

@@ -19,6 +19,7 @@ mod stats;
 mod strategy;
 mod tracer;
 mod wavefront;
+mod workload;
 
 pub use crate::transport::estimators::Estimators;
 pub use auto::{preferred_engine, preferred_schedule};

@@ -31,6 +31,11 @@ pub struct Pass {
 }
 
 impl Pass {
+    /// Whether it is the last and does without the table: trials spoke against it.
+    pub fn gives_up(&self) -> bool {
+        self.end == u32::MAX && !self.strategy.informed
+    }
+
     /// Whether its paths teach the table.
     pub fn teaches(&self) -> bool {
         self.learning && self.strategy.informed

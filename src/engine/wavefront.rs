@@ -3,8 +3,9 @@
 
 use super::auto::preferred_schedule;
 use super::gpu_film::{GpuFilm, Keys};
-use super::pacing::{Pacer, PathLengths};
+use super::pacing::{Pacer, PathLengths, Progress, UNKNOWN_LEVELS};
 use super::tracer::Tracer;
+use super::workload::Workload;
 use super::{Batch, CancelToken, EngineKind, RenderError, RenderOptions};
 use crate::film::Film;
 use crate::gpu::device::Gpu;
@@ -29,11 +30,12 @@ pub struct WavefrontEngine {
     /// Bind groups of each stage of a level when it reads the first ray queue, and when it reads the second.
     binds: Vec<[wgpu::BindGroup; 2]>,
     pool: u32,
+    /// In places of a queue, times levels of a path.
     pacer: Pacer,
     lengths: PathLengths,
     /// Levels of a path that the fused kernel traces at once, if the caller decides.
     grain: Option<u32>,
-    /// Levels that the last batch needed: how many to record at first.
+    /// Levels that the last batch needed, 0 before the first: how many to record at first.
     expected_levels: u32,
 }
 
@@ -53,17 +55,19 @@ impl WavefrontEngine {
         let schedule = preferred_schedule(&keys.own, options);
         let stages = |key: &KernelKey| Stage::wavefront(key, schedule);
         let gpu = GpuFilm::new(gpu, scene, uniforms, keys, stages, schedule, "wavefront")?;
-        let expected_levels = uniforms.max_bounces + 1;
+        let lengths = keys.lengths(uniforms.max_bounces);
+        let workload = Workload::new(scene, &keys.own, uniforms.max_bounces, &gpu.gpu.summary);
+        let first = workload.first_rays(levels_a_visit(schedule, options.grain, &lengths));
         Ok(WavefrontEngine {
             gpu,
             schedule,
             level: Vec::new(),
             binds: Vec::new(),
             pool,
-            pacer: Pacer::new(1),
-            lengths: PathLengths::default(),
+            pacer: Pacer::new(first),
+            lengths,
             grain: options.grain,
-            expected_levels,
+            expected_levels: 0,
         })
     }
 
@@ -145,6 +149,33 @@ impl WavefrontEngine {
         fillings * (self.gpu.uniforms.max_bounces + waits + 1) + 4
     }
 
+    /// Rays of a level, if the pool is full and all paths live through the levels of a visit.
+    fn rays(&self, at_once: u32) -> u64 {
+        u64::from(self.gpu.uniforms.capacity) * u64::from(at_once)
+    }
+
+    /// How many levels to submit after `level` of them, which left these counters: as many as the last batch needed, or as
+    /// many as are left by what is seen of this one; fewer where that could take long.
+    fn levels_to_submit(&self, batch: &Batch, level: u32, counters: &[u32], at_once: u32) -> u32 {
+        let left = match self.expected_levels.saturating_sub(level) {
+            0 if level == 0 => UNKNOWN_LEVELS,
+            0 => {
+                let counter = |c: Counter| counters[c as usize];
+                let progress = Progress {
+                    levels: level,
+                    paths: batch.paths(),
+                    started: counter(Counter::NextPath),
+                    flying: counter(Counter::Survivors),
+                    visits: counter(Counter::Rays) / at_once,
+                };
+                progress.levels_left()
+            }
+            expected => expected,
+        };
+        let fitting = self.pacer.amount() / self.rays(at_once);
+        left.min(self.most_levels(batch)).min(fitting.clamp(1, u64::from(u32::MAX)) as u32)
+    }
+
     /// Submits `count` levels, the first of which is number `first`, and reads the counters behind them.
     fn submit_levels(
         &mut self,
@@ -172,6 +203,14 @@ impl WavefrontEngine {
         let over = |i: &usize| overflow >> i & 1 == 1;
         let queues: Vec<&str> = (0..names.len()).filter(over).map(|i| names[i].as_str()).collect();
         Err(GpuError::QueueOverflow { queues: queues.join(", ") }.into())
+    }
+}
+
+/// Levels of a path that a kernel traces at once: `grain`, if the caller decides.
+fn levels_a_visit(schedule: Schedule, grain: Option<u32>, lengths: &PathLengths) -> u32 {
+    match schedule {
+        Schedule::Fused => grain.unwrap_or_else(|| lengths.levels_at_once()),
+        Schedule::Streamed | Schedule::Compacted => 1,
     }
 }
 
@@ -233,12 +272,11 @@ impl Tracer for WavefrontEngine {
             if cancel.is_cancelled() {
                 return Ok(false);
             }
-            let remaining = self.expected_levels.saturating_sub(level).max(4);
-            let count = self.pacer.amount().min(remaining);
-            let grain = self.grain.unwrap_or_else(|| self.lengths.levels_at_once());
+            let grain = levels_a_visit(self.schedule, self.grain, &self.lengths);
+            let count = self.levels_to_submit(batch, level, &counters, grain);
             self.gpu.write_uniforms(&Uniforms { grain, ..uniforms });
             let (status, seconds) = self.submit_levels(level, count, film)?;
-            self.pacer.observe(count, seconds);
+            self.pacer.observe(u64::from(count) * self.rays(grain), seconds);
             level += count;
             counters = status;
             self.check_overflow(&counters)?;

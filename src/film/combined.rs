@@ -67,6 +67,15 @@ impl CombinedFilm {
         });
     }
 
+    /// Has all passes so far count `share` of what they counted.
+    pub fn fade(&mut self, share: f64) {
+        for pixel in &mut self.pixels {
+            pixel.mean = pixel.mean.map(|mean| share * mean);
+            pixel.variance = pixel.variance.map(|variance| share * share * variance);
+            pixel.weight *= share;
+        }
+    }
+
     /// The variance of the pass on its way; that of the last pass stands in while there are too few samples to tell.
     fn judge(&mut self, film: &Film, estimates: &[f32]) {
         let passed = |(now, before): (&PixelSum, &PixelSum)| now.count - before.count;
@@ -200,4 +209,42 @@ fn window_sums(row: &[PixelSum], radius: usize) -> (Vec<f64>, f64) {
         |x: usize, radius: usize| below[(x + radius + 1).min(row.len())] - below[x.saturating_sub(radius)];
     let sums = (0..row.len()).map(|x| within(x, radius)).collect();
     (sums, (0..row.len()).map(|x| within(x, 0)).sum())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A film of two pixels in which pass after pass, as many samples each, brought these values.
+    fn combined(passes: &[(u32, f32)], faded_after: Option<usize>) -> (Film, CombinedFilm) {
+        let mut film = Film::new(2, 1);
+        let mut combined = CombinedFilm::new(&film);
+        for (i, &(samples, value)) in passes.iter().enumerate() {
+            for pixel in film.pixels_mut() {
+                for sample in 0..samples {
+                    // Scattered about the value by a tenth of it.
+                    let scatter = if sample % 2 == 0 { 1.1 } else { 0.9 };
+                    pixel.add([value * scatter; 3].into());
+                }
+            }
+            combined.end_pass(&film, &[1.0; 2], false);
+            if faded_after == Some(i) {
+                combined.fade(0.125);
+            }
+        }
+        (film, combined)
+    }
+
+    #[test]
+    fn faded_passes_count_that_share_of_what_they_counted() {
+        let mean = |faded| combined(&[(64, 1.0), (64, 2.0)], faded).1.pixels[0].combined_mean()[0];
+        let whole = mean(None);
+        assert!((whole - 1.5).abs() < 0.1, "{whole}");
+        let weight = (whole - 1.0) / (2.0 - whole);
+        let expected = (1.0 + 2.0 * 8.0 * weight) / (1.0 + 8.0 * weight);
+        assert!((mean(Some(0)) - expected).abs() < 1e-6, "{} for {expected}", mean(Some(0)));
+        assert!((mean(Some(1)) - whole).abs() < 1e-6, "what fades as a whole stays what it is");
+        let error = |faded| combined(&[(64, 1.0), (64, 2.0)], faded).1.pixels[0].standard_error()[0];
+        assert!((error(Some(1)) / error(None) - 1.0).abs() < 1e-6);
+    }
 }

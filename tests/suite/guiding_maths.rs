@@ -265,6 +265,33 @@ fn leaves_cover_the_sphere_and_hold_their_points() {
     assert!(checked > 10_000, "{checked}");
 }
 
+/// Half the integral of the difference of two densities over the sphere, by uniform directions: 0 where they agree, 1 where
+/// they have nothing in common.
+fn distance(a: impl Fn(Vec3) -> f64, b: impl Fn(Vec3) -> f64) -> f64 {
+    const DIRECTIONS: u32 = 20_000;
+    let all: Vec<[f64; 2]> =
+        (0..DIRECTIONS).map(|i| uniform_direction(12, i)).map(|d| [a(d), b(d)]).collect();
+    let sums = [0, 1].map(|i| all.iter().map(|pair| pair[i]).sum::<f64>());
+    0.5 * all.iter().map(|[a, b]| (a / sums[0] - b / sums[1]).abs()).sum::<f64>()
+}
+
+/// The density is that of the light that was taught, but for what leaves and few lessons blur; turned about an axis it is not.
+#[test]
+fn directions_go_where_light_comes_from() {
+    let (mut right, mut turned, mut cells) = (0.0, 0.0, 0.0);
+    for i in (0..97).filter(|i| i % 4 == 1) {
+        let (cell, normal) = ADAPTIVE.cell(i);
+        let density =
+            |d: Vec3| f64::from(qtracer::guiding::table::adaptive::density(&ADAPTIVE.table, &cell, d).pdf);
+        let taught = |d: Vec3| f64::from(ADAPTIVE.taught(d, normal));
+        right += distance(density, taught);
+        turned += distance(|d| density(Vec3::new(-d.y, d.x, d.z)), taught);
+        cells += 1.0;
+    }
+    println!("{:.3} off, {:.3} where turned", right / cells, turned / cells);
+    assert!(right < 0.25 * cells && turned > 0.5 * cells, "{} {}", right / cells, turned / cells);
+}
+
 /// What is wrong with a table's numbers, if anything.
 fn table_fault(table: &GuideTable) -> Option<String> {
     let adaptive = table.uniforms.sectors > 1;

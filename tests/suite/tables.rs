@@ -28,6 +28,7 @@ pub const MODES: [GuideMode; 4] =
 /// A learner after its passes, and the table that it made.
 pub struct Learnt {
     pub mode: GuideMode,
+    light: Light,
     pub learner: Learner,
     pub table: GuideTable,
 }
@@ -126,10 +127,15 @@ pub fn learnt(mode: GuideMode, seed: u32) -> Learnt {
         learner.learn(&sums.take(), 1);
     }
     let table = learner.table(true, &[]);
-    Learnt { mode, learner, table }
+    Learnt { mode, light, learner, table }
 }
 
 impl Learnt {
+    /// What it was taught: radiance times cosine.
+    pub fn taught(&self, direction: Vec3, normal: Vec3) -> f32 {
+        self.light.radiance(direction) * normal.dot(direction).max(0.0)
+    }
+
     /// The row of the index that tells of the `i`-th of them.
     pub fn row(&self, i: u32) -> u32 {
         let (position, normal) = surface_point(77, i);
