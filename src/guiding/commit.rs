@@ -1,6 +1,6 @@
-//! The commit: sums of a pass → what is known; but for quadtrees, also how that lies in the table. Tickets are shares of a whole
-//! cell, so they all change with every commit; the host lays them out ([`super::layout`]). This is the CPU engine's; GPU twin:
-//! kernels/guiding/commit.wesl, which does the same operations on f32.
+//! The commit: sums of a pass → what is known; without quadtrees, also how that lies in the table. Tickets are shares of all
+//! that their cell knows, so each commit changes them all: the learner lays them out ([`super::layout`]). This is the CPU
+//! engine's; GPU twin: kernels/guiding/commit.wesl, which does the same operations on f32.
 //!
 //! How exact it is: a 64-bit sum becomes an f32 with a relative error of 1.2·10⁻⁷ at most (each word is rounded, and their
 //! sum), and the blend adds five roundings of 6·10⁻⁸. That is far below the noise of what is learnt; it is the same in every
