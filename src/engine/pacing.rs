@@ -134,7 +134,10 @@ impl PathLengths {
         let Some(mean) = self.mean() else {
             return if self.direct_light { FIRST_LEVELS } else { FIRST_LEVELS_PLAIN };
         };
-        let fitting = ((mean / rays_a_level) as u32).clamp(LEAST_LEVELS_AT_ONCE, MOST_LEVELS);
+        // Where nearly all run to the last level, they need not come back before; not measured with direct light.
+        let alike = !self.direct_light && mean >= MOST_ALIKE * f64::from(self.longest);
+        let fitting = if alike { self.longest } else { (mean / rays_a_level) as u32 };
+        let fitting = fitting.clamp(LEAST_LEVELS_AT_ONCE, MOST_LEVELS);
         1 << fitting.ilog2()
     }
 
@@ -178,7 +181,8 @@ mod tests {
     #[test]
     fn short_paths_without_direct_light_go_further_at_once() {
         let plain = |mean: f64| lengths_of(mean, 8, false).levels_at_once();
-        assert_eq!([3.79, 4.71, 4.85, 5.82, 6.77, 6.92, 7.15].map(plain), [4; 7]);
+        assert_eq!([3.79, 4.71, 4.85, 5.82].map(plain), [4; 4]);
+        assert_eq!([6.77, 6.92, 7.15].map(plain), [8; 3], "nearly all run to the last level");
         let lit = |mean: f64| lengths_of(mean, 8, true).levels_at_once();
         assert_eq!([3.79, 4.85, 5.82, 7.15].map(lit), [2, 2, 4, 4]);
     }

@@ -293,7 +293,8 @@ impl Tracer for WavefrontEngine {
                 return Err(GpuError::NoProgress { levels: level, flying }.into());
             }
         }
-        self.expected_levels = level;
+        // Not those that were recorded: some had nothing to do.
+        self.expected_levels = counters[Counter::Levels as usize];
         self.gpu.stats.iterations += u64::from(level);
         self.gpu.stats.rays += u64::from(counters[Counter::Rays as usize]);
         Ok(true)

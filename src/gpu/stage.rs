@@ -56,10 +56,12 @@ pub enum Counter {
     Rays,
     /// Places for radiance that the paths of rays pushed for the next level own; where paths split.
     Places,
+    /// Levels of this batch in which there was anything to do.
+    Levels,
     FirstHit,
 }
 
-const COUNTER_NAMES: [&str; 12] = [
+const COUNTER_NAMES: [&str; 13] = [
     "COUNTER_OVERFLOW",
     "COUNTER_SURVIVORS",
     "COUNTER_LIVE",
@@ -71,6 +73,7 @@ const COUNTER_NAMES: [&str; 12] = [
     "COUNTER_TRANSITIONS_LIVE",
     "COUNTER_RAYS",
     "COUNTER_PLACES",
+    "COUNTER_LEVELS",
     "FIRST_HIT_COUNTER",
 ];
 

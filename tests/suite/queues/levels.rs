@@ -24,6 +24,7 @@ fn preparing_a_level_fills_the_pool_and_loses_no_path() {
                 (Counter::NextPath, next),
                 (Counter::Shadows, shadows),
                 (Counter::Rays, 100),
+                (Counter::Levels, 7),
                 (Counter::FirstHit, 17),
             ]);
             let arguments = vec![UNTOUCHED; argument_words(&harness.key) as usize];
@@ -44,6 +45,7 @@ fn preparing_a_level_fills_the_pool_and_loses_no_path() {
             prop_assert_eq!(counter(Counter::FreshBegin), survivors);
             prop_assert_eq!(counter(Counter::NextPath), next + fresh);
             prop_assert_eq!(counter(Counter::Rays), 100 + survivors + fresh);
+            prop_assert_eq!(counter(Counter::Levels), 7 + u32::from(survivors + fresh + shadows > 0));
             prop_assert_eq!(counter(Counter::ShadowsLive), shadows);
             prop_assert_eq!(counter(Counter::Overflow), 0);
             for cleared in [Counter::Survivors, Counter::Shadows, Counter::FirstHit] {
