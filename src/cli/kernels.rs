@@ -18,8 +18,8 @@ pub fn dump(folder: &Path, scene: &Scene, options: &RenderOptions) -> Result<Str
     let megakernel = options.engine == EngineChoice::Auto
         && preferred_engine(&compiled, &key, options) == EngineKind::Megakernel;
     let (stages, of) = match options.engine {
-        EngineChoice::Megakernel => (Stage::megakernel(), "the megakernel engine"),
-        EngineChoice::Auto if megakernel => (Stage::megakernel(), "the megakernel engine"),
+        EngineChoice::Megakernel => (Stage::megakernel(&key), "the megakernel engine"),
+        EngineChoice::Auto if megakernel => (Stage::megakernel(&key), "the megakernel engine"),
         EngineChoice::Wavefront | EngineChoice::Auto => {
             (Stage::wavefront(&key, schedule), "the wavefront engine")
         }

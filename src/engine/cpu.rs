@@ -5,7 +5,8 @@ use super::strategy::{Pass, Strategy};
 use super::{CancelToken, Engine, EngineKind, Estimators, RenderError, RenderStats};
 use crate::accel::Search;
 use crate::film::{Film, PixelSum};
-use crate::guiding::{GuideTable, LessonLayout, LessonSums, Lessons};
+use crate::guiding::commit::commit;
+use crate::guiding::{Committed, GuideState, GuideTable, GuideUpdate, LessonLayout, LessonSums};
 use crate::scene::compiled::{CompiledScene, Uniforms};
 use crate::transport::guide::Guidance;
 use crate::transport::path::Transport;
@@ -19,8 +20,17 @@ pub struct CpuEngine {
     uniforms: Uniforms,
     estimators: Estimators,
     strategy: Strategy,
-    guide: Option<(GuideTable, LessonSums)>,
+    guide: Option<CpuGuide>,
     stats: RenderStats,
+}
+
+/// What guides paths, and what they teach.
+#[derive(Default)]
+struct CpuGuide {
+    table: GuideTable,
+    sums: LessonSums,
+    /// What is known.
+    state: GuideState,
 }
 
 /// How long a step should take, in seconds.
@@ -43,6 +53,12 @@ impl CpuEngine {
         CpuEngine { scene, uniforms, estimators, strategy, guide: None, stats }
     }
 
+    /// The table's rows and what is known.
+    #[cfg(test)]
+    pub(super) fn guide(&self) -> Option<(&[crate::guiding::state::Row], &GuideState)> {
+        self.guide.as_ref().map(|guide| (guide.table.rows.as_slice(), &guide.state))
+    }
+
     /// One pass: the samples `range` of every pixel, rows in parallel.
     fn pass(&self, range: &Range<u32>, film: &mut Film, cancel: &CancelToken) -> Spent {
         let width = self.uniforms.width as usize;
@@ -61,10 +77,10 @@ impl CpuEngine {
             direct_light: self.estimators.direct_light && self.scene.has_light_to_sample(),
             roulette: self.strategy.roulette,
             places: if self.strategy.informed { self.estimators.places() } else { 1 },
-            guidance: self.guide.as_ref().filter(|_| self.strategy.informed).map(|(table, sums)| Guidance {
+            guidance: self.guide.as_ref().filter(|_| self.strategy.informed).map(|guide| Guidance {
                 mode: self.estimators.table_mode(),
-                table,
-                sums,
+                table: &guide.table,
+                sums: &guide.sums,
             }),
         };
         let rows = film.pixels_mut().par_chunks_mut(width).enumerate();
@@ -155,14 +171,24 @@ impl Engine for CpuEngine {
         Ok(())
     }
 
-    fn set_guide(&mut self, table: GuideTable) -> Result<(), RenderError> {
-        let sums = LessonSums::new(LessonLayout::new(&table.uniforms));
-        self.guide = Some((table, sums));
+    fn set_guide(&mut self, update: GuideUpdate) -> Result<(), RenderError> {
+        let guide = self.guide.get_or_insert_default();
+        if let Some(state) = update.state {
+            guide.state.clone_from(state);
+        }
+        // Sums of the pass before may have been left.
+        guide.sums = LessonSums::new(LessonLayout::new(&update.uniforms));
+        guide.table.update(update);
         Ok(())
     }
 
-    fn take_lessons(&mut self) -> Result<Lessons, RenderError> {
-        Ok(self.guide.as_mut().map(|(_, sums)| sums.take()).unwrap_or_default())
+    fn commit(&mut self) -> Result<Committed, RenderError> {
+        let Some(guide) = &mut self.guide else { return Ok(Committed::default()) };
+        let lessons = guide.sums.take();
+        let (mode, table) = (self.estimators.table_mode(), &mut guide.table);
+        let met = commit(mode, &table.uniforms, &lessons, &mut guide.state, &mut table.rows);
+        let (cells, nodes) = (guide.state.cells.clone(), guide.state.nodes.clone());
+        Ok(Committed { cells, nodes, met, missing: lessons.missing })
     }
 
     fn step_samples(&self) -> u32 {

@@ -1,5 +1,6 @@
 //! What both GPU engines share: the scene's buffers, the radiance of a batch, its sums, its way to the host.
 
+use super::gpu_guide::GpuLessons;
 use super::pacing::PathLengths;
 use super::strategy::Pass;
 use super::{Batch, RenderError, RenderStats};
@@ -11,7 +12,6 @@ use crate::gpu::kernel::Kernel;
 use crate::gpu::key::KernelKey;
 use crate::gpu::link::link;
 use crate::gpu::stage::{GRID_WIDTH, Schedule, Stage, WORKGROUP};
-use crate::guiding::{GuideTable, GuideUniforms, LessonLayout, Lessons};
 use crate::scene::compiled::{CompiledScene, Uniforms};
 use crate::scene::rows;
 use crate::transport::roulette::Roulette;
@@ -35,7 +35,7 @@ pub struct GpuFilm {
     pub key: KernelKey,
     pub kernels: HashMap<Stage, Kernel>,
     /// Kernels for other passes: those that only ask the table, those that do without.
-    spares: Vec<(KernelKey, HashMap<Stage, Kernel>)>,
+    pub(super) spares: Vec<(KernelKey, HashMap<Stage, Kernel>)>,
     pub buffers: Buffers,
     pub uniforms: Uniforms,
     pub stats: RenderStats,
@@ -48,8 +48,8 @@ pub struct GpuFilm {
     /// Sums on their way to the host.
     pending: Option<(Batch, Flight)>,
     sums_staging: Option<wgpu::Buffer>,
-    /// How the sums of what is learnt lie in their buffer.
-    lessons: LessonLayout,
+    /// What learning needs at a pass's end.
+    pub(super) lessons: GpuLessons,
 }
 
 /// What the kernels of a render must be able to do: its own, and where plain tracing is tried too, that.
@@ -137,7 +137,7 @@ impl GpuFilm {
             clock,
             pending: None,
             sums_staging: None,
-            lessons: LessonLayout::default(),
+            lessons: GpuLessons::default(),
         };
         film.upload_scene(scene)?;
         Ok(film)
@@ -207,51 +207,6 @@ impl GpuFilm {
         Ok(true)
     }
 
-    /// Uploads a table and clears the sums; true if bind groups must be made anew.
-    pub fn set_guide(&mut self, table: &GuideTable) -> Result<bool, RenderError> {
-        if !self.is_bound("guide_rows") {
-            return Ok(false);
-        }
-        self.lessons = LessonLayout::new(&table.uniforms);
-        let storage = BufferUsages::STORAGE | BufferUsages::COPY_DST;
-        let wanted = [
-            ("guide_rows", 16 * table.rows.len() as u64, storage),
-            ("guide", size_of::<GuideUniforms>() as u64, storage),
-            ("lessons", 4 * self.lessons.words(), storage | BufferUsages::COPY_SRC),
-        ];
-        let mut grown = false;
-        for (name, bytes, usage) in wanted {
-            if self.is_bound(name) && self.buffers.size(name).is_none_or(|size| size < bytes) {
-                // Tables grow from pass to pass: room to spare keeps the buffers for some passes.
-                let room = if name == "guide" { bytes } else { bytes + bytes / 2 };
-                let room = room.min(self.gpu.summary.max_binding.max(bytes));
-                self.buffers.create(&self.gpu, name, room, usage)?;
-                grown = true;
-            }
-        }
-        let queue = &self.gpu.queue;
-        queue.write_buffer(self.buffers.get("guide_rows"), 0, bytemuck::cast_slice(&table.rows));
-        queue.write_buffer(self.buffers.get("guide"), 0, bytemuck::bytes_of(&table.uniforms));
-        if self.is_bound("lessons") {
-            let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
-            encoder.clear_buffer(self.buffers.get("lessons"), 0, None);
-            queue.submit([encoder.finish()]);
-        }
-        self.stats.buffers = self.buffers.bytes();
-        self.gpu.check()?;
-        Ok(grown)
-    }
-
-    /// What was learnt since the table was put in place.
-    pub fn take_lessons(&mut self) -> Result<Lessons, RenderError> {
-        if !self.is_bound("lessons") {
-            return Ok(Lessons::default());
-        }
-        let bytes = (4 * self.lessons.words()).max(4);
-        let words = self.gpu.read(&[(self.buffers.get("lessons"), bytes)])?;
-        Ok(Lessons::from_words(self.lessons, &bytemuck::pod_collect_to_vec::<u8, u32>(&words[0])))
-    }
-
     /// Binds the buffers of a stage, with some renamed; see [`Kernel::bind`].
     pub fn bind(&self, stage: Stage, renamed: &[(&str, &str)]) -> wgpu::BindGroup {
         self.kernels[&stage].bind(&self.gpu, &self.buffers, renamed)
@@ -292,7 +247,7 @@ impl GpuFilm {
     }
 
     /// A buffer that the host can read.
-    fn staging(&self, size: u64) -> wgpu::Buffer {
+    pub(super) fn staging(&self, size: u64) -> wgpu::Buffer {
         self.gpu.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("staging"),
             size,

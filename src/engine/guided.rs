@@ -5,7 +5,7 @@ use super::pilot::pilot;
 use super::strategy::{Pass, Planner};
 use super::{Engine, Estimators, RenderError, RenderOptions};
 use crate::film::{CombinedFilm, Film, Image, rough_luminances};
-use crate::guiding::{GuideMode, GuideOptions, Learner};
+use crate::guiding::{GuideMode, GuideOptions, Learner, Stale};
 use crate::random::Sampler;
 use crate::scene::compiled::{CompiledScene, Uniforms};
 
@@ -20,6 +20,8 @@ const FADED: f64 = 0.125;
 /// What a guided render keeps besides the film.
 pub struct Guided {
     learner: Learner,
+    /// What of the engine's table is not what the learner has.
+    stale: Stale,
     planner: Planner,
     pass: Pass,
     combined: CombinedFilm,
@@ -56,9 +58,10 @@ impl Guided {
         let pass = planner.first();
         let pixels = uniforms.width * uniforms.height;
         engine.set_pass(&pass)?;
-        engine.set_guide(learner.table(pass.learning, &vec![0.0; pixels as usize]))?;
+        engine.set_guide(learner.update(pass.learning, Stale::State, &vec![0.0; pixels as usize]))?;
         Ok(Some(Guided {
             learner,
+            stale: Stale::Pixels,
             planner,
             pass,
             combined: CombinedFilm::new(&Film::new(uniforms.width, uniforms.height)),
@@ -86,13 +89,16 @@ impl Guided {
         if samples < self.pass.end {
             return Ok(());
         }
+        if self.pass.teaches() {
+            engine.begin_commit();
+        }
         let estimates = rough_luminances(film, ESTIMATE_SAMPLES);
         self.combined.end_pass(film, &estimates, self.pass.trial);
         let rays = engine.stats().rays;
         let taken = samples - self.spent.0;
         let rays_per_path = (rays - self.spent.1) as f64 / (f64::from(taken) * self.pixels);
         if self.pass.teaches() {
-            self.learner.learn(&engine.take_lessons()?, taken);
+            self.stale = self.stale.max(self.learner.take_in(engine.commit()?, taken));
         }
         self.planner.judge(&self.pass, self.combined.variance(), rays_per_path);
         self.pass = self.planner.next(samples);
@@ -104,7 +110,8 @@ impl Guided {
         if self.pass.strategy.informed {
             // An estimate of 0 is none: paths end by throughput.
             let known = if samples >= self.mature { estimates } else { vec![0.0; estimates.len()] };
-            engine.set_guide(self.learner.table(self.pass.learning, &known))?;
+            let stale = std::mem::take(&mut self.stale);
+            engine.set_guide(self.learner.update(self.pass.learning, stale, &known))?;
         }
         Ok(())
     }
@@ -120,3 +127,7 @@ impl Guided {
         &self.learner
     }
 }
+
+#[cfg(test)]
+#[path = "guided_tests.rs"]
+mod tests;

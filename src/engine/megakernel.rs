@@ -30,7 +30,7 @@ impl MegakernelEngine {
     ) -> Result<Self, RenderError> {
         let first = Workload::new(scene, &keys.own, uniforms.max_bounces, &gpu.summary).first_paths();
         let mut gpu =
-            GpuFilm::new(gpu, scene, uniforms, keys, |_| Stage::megakernel(), Schedule::Fused, "megakernel")?;
+            GpuFilm::new(gpu, scene, uniforms, keys, Stage::megakernel, Schedule::Fused, "megakernel")?;
         let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC | BufferUsages::COPY_DST;
         gpu.buffers.create(&gpu.gpu, "counters", 4 * u64::from(counter_words(&keys.own)), usage)?;
         let lengths = keys.lengths(uniforms.max_bounces);

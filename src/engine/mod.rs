@@ -7,6 +7,7 @@ mod cpu_levels;
 mod error;
 mod features;
 mod gpu_film;
+mod gpu_guide;
 mod guided;
 mod megakernel;
 mod options;
@@ -35,7 +36,7 @@ pub use strategy::{Pass, Strategy};
 pub use wavefront::recorded::{RecordedLevel, RecordedStage};
 
 use crate::film::Film;
-use crate::guiding::{GuideTable, Lessons};
+use crate::guiding::{Committed, GuideUpdate};
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -69,10 +70,13 @@ pub trait Engine: Send {
     fn set_pass(&mut self, pass: &Pass) -> Result<(), RenderError>;
 
     /// Puts a table in place: from now on it guides paths, and what they teach is added up from zero.
-    fn set_guide(&mut self, table: GuideTable) -> Result<(), RenderError>;
+    fn set_guide(&mut self, update: GuideUpdate) -> Result<(), RenderError>;
 
-    /// What paths taught since the table was put in place.
-    fn take_lessons(&mut self) -> Result<Lessons, RenderError>;
+    /// Begins [`Engine::commit`] where that can go on while the caller does other things.
+    fn begin_commit(&mut self) {}
+
+    /// Commits what paths taught since the table was put in place: what is known now, which the engine keeps, too.
+    fn commit(&mut self) -> Result<Committed, RenderError>;
 
     /// Samples per pixel to ask for at once, so that a step is neither long nor wasteful.
     fn step_samples(&self) -> u32;

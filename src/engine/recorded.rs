@@ -53,7 +53,7 @@ impl RecordedLevel {
         let mut engine = WavefrontEngine::new(gpu, &compiled, uniforms, keys, options)?;
         let guided = Guided::start(options, estimators, &compiled, &uniforms, &mut engine)?;
         let unknown = vec![0.0; (width * height) as usize];
-        let table = guided.map(|guided| guided.learner().clone().table(true, &unknown));
+        let table = guided.map(|guided| guided.learner().table(true, &unknown));
         let batch = full_batch(width * height, engine.gpu.max_paths);
         engine.prepare(&batch)?;
         engine.gpu.write_uniforms(&engine.gpu.batch_uniforms(&batch));

@@ -5,7 +5,7 @@ use super::gpu_film::GpuFilm;
 use super::strategy::Pass;
 use super::{Batch, CancelToken, Engine, EngineKind, RenderError, RenderStats};
 use crate::film::Film;
-use crate::guiding::{GuideTable, Lessons};
+use crate::guiding::{Committed, GuideUpdate};
 use std::ops::Range;
 use std::time::Instant;
 
@@ -58,15 +58,19 @@ impl<T: Tracer> Engine for T {
         Ok(())
     }
 
-    fn set_guide(&mut self, table: GuideTable) -> Result<(), RenderError> {
-        if self.gpu_mut().set_guide(&table)? {
+    fn set_guide(&mut self, update: GuideUpdate) -> Result<(), RenderError> {
+        if self.gpu_mut().set_guide(&update)? {
             self.unbind();
         }
         Ok(())
     }
 
-    fn take_lessons(&mut self) -> Result<Lessons, RenderError> {
-        self.gpu_mut().take_lessons()
+    fn begin_commit(&mut self) {
+        self.gpu_mut().begin_commit();
+    }
+
+    fn commit(&mut self) -> Result<Committed, RenderError> {
+        self.gpu_mut().commit()
     }
 
     /// Whole batches: as many as fit into the time of a step by what earlier ones took.

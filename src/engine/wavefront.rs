@@ -25,7 +25,7 @@ const POOL_SOFTWARE: u32 = 1 << 16;
 pub struct WavefrontEngine {
     gpu: GpuFilm,
     schedule: Schedule,
-    /// Stages of a level of the kernels in use, in order; resolve is not among them.
+    /// Stages of a level of the kernels in use, in order.
     level: Vec<Stage>,
     /// Bind groups of each stage of a level when it reads the first ray queue, and when it reads the second.
     binds: Vec<[wgpu::BindGroup; 2]>,
@@ -123,7 +123,7 @@ impl WavefrontEngine {
     /// Binds each stage for both roles of the two ray queues.
     fn bind_stages(&mut self) {
         self.level = Stage::wavefront(&self.gpu.key, self.schedule);
-        self.level.retain(|&stage| stage != Stage::Resolve);
+        self.level.retain(|stage| stage.is_in_level());
         let bind = |stage: Stage, names: &[(&str, &str)]| self.gpu.bind(stage, names);
         self.binds = self
             .level

@@ -180,35 +180,35 @@ pub fn rough_luminances(film: &Film, samples: f64) -> Vec<f32> {
     let have = film.pixels().first().map_or(1, |p| p.count.max(1)) as f64;
     let radius = (((samples / have).sqrt() - 1.0) / 2.0).ceil().clamp(0.0, 16.0) as usize;
     // Sums over the window within each row, then over rows.
-    let rows: Vec<Vec<f64>> = film.pixels().par_chunks(width).map(|row| window_sums(row, radius)).collect();
-    let total: f64 = film
-        .pixels()
-        .par_chunks(width)
-        .map(|row| window_sums(row, 0).iter().sum::<f64>())
-        .collect::<Vec<_>>()
-        .iter()
-        .sum();
-    let darkest = DARKEST * total / (width * height) as f64;
+    let (rows, totals): (Vec<Vec<f64>>, Vec<f64>) =
+        film.pixels().par_chunks(width).map(|row| window_sums(row, radius)).unzip();
+    let darkest = DARKEST * totals.iter().sum::<f64>() / (width * height) as f64;
     let mut estimates = vec![0.0; width * height];
     estimates.par_chunks_mut(width).enumerate().for_each(|(y, estimates)| {
         let window = &rows[y.saturating_sub(radius)..(y + radius + 1).min(height)];
-        for (x, estimate) in estimates.iter_mut().enumerate() {
+        let mut sums = vec![0.0; width];
+        for row in window {
+            sums.iter_mut().zip(row).for_each(|(sum, value)| *sum += value);
+        }
+        for (x, (estimate, sum)) in estimates.iter_mut().zip(sums).enumerate() {
             let columns = (x + radius + 1).min(width) - x.saturating_sub(radius);
-            let sum: f64 = window.iter().map(|row| row[x]).sum();
             *estimate = (sum / (columns * window.len()) as f64).max(darkest) as f32;
         }
     });
     estimates
 }
 
-/// For each pixel of a row the sum of the luminances of those at most `radius` away.
-fn window_sums(row: &[PixelSum], radius: usize) -> Vec<f64> {
+/// For each pixel of a row the sum of the luminances of those at most `radius` away, and the sum of all.
+fn window_sums(row: &[PixelSum], radius: usize) -> (Vec<f64>, f64) {
     let mut below = Vec::with_capacity(row.len() + 1);
     below.push(0.0);
     for pixel in row {
         below.push(below[below.len() - 1] + luminance(pixel.mean()));
     }
-    (0..row.len()).map(|x| below[(x + radius + 1).min(row.len())] - below[x.saturating_sub(radius)]).collect()
+    let within =
+        |x: usize, radius: usize| below[(x + radius + 1).min(row.len())] - below[x.saturating_sub(radius)];
+    let sums = (0..row.len()).map(|x| within(x, radius)).collect();
+    (sums, (0..row.len()).map(|x| within(x, 0)).sum())
 }
 
 #[cfg(test)]

@@ -24,6 +24,8 @@ pub enum Schedule {
 
 /// Invocations per workgroup of every kernel but the one-invocation ones. 256 is what every browser grants.
 pub const WORKGROUP: u32 = 256;
+/// Invocations per workgroup of the commit kernel: cells are few, and each has much to do.
+pub const CELLS_AT_ONCE: u32 = 32;
 /// Workgroups in a row of the two-dimensional grid (`GRID_WIDTH` in kernels/stages/queues.wesl).
 pub const GRID_WIDTH: u32 = 32768;
 /// Samples of a pixel that the GPU sums in f32 before the host adds them up in f64.
@@ -122,13 +124,17 @@ pub enum Stage {
     Step,
     Megakernel,
     Resolve,
+    /// At a pass's end, and where a table is put in place.
+    Commit,
 }
 
 impl Stage {
-    /// Stages that the wavefront engine runs for this scene, in order of a level; no others are linked.
+    /// Stages that the wavefront engine runs for this scene, in order of a level, then those that run behind a batch or a pass;
+    /// no others are linked.
     pub fn wavefront(key: &KernelKey, schedule: Schedule) -> Vec<Stage> {
         if schedule == Schedule::Fused {
-            return vec![Stage::PrepareRays, Stage::Step, Stage::Resolve];
+            let own = [Stage::PrepareRays, Stage::Step];
+            return own.into_iter().chain(Stage::behind_levels(key)).collect();
         }
         let mut stages = vec![Stage::PrepareRays, Stage::Generate];
         if key.direct_light {
@@ -145,13 +151,23 @@ impl Stage {
         if schedule == Schedule::Compacted {
             stages.push(Stage::Compact);
         }
-        stages.push(Stage::Resolve);
+        stages.extend(Stage::behind_levels(key));
         stages
     }
 
     /// Stages of the megakernel engine.
-    pub fn megakernel() -> Vec<Stage> {
-        vec![Stage::Megakernel, Stage::Resolve]
+    pub fn megakernel(key: &KernelKey) -> Vec<Stage> {
+        [Stage::Megakernel].into_iter().chain(Stage::behind_levels(key)).collect()
+    }
+
+    /// Stages of every engine: behind a batch, and where paths teach behind a pass.
+    fn behind_levels(key: &KernelKey) -> impl Iterator<Item = Stage> {
+        [Stage::Resolve].into_iter().chain(key.teaches.then_some(Stage::Commit))
+    }
+
+    /// Whether it is part of a level of all paths in flight.
+    pub fn is_in_level(self) -> bool {
+        !matches!(self, Stage::Resolve | Stage::Commit)
     }
 
     pub fn name(self) -> String {
@@ -176,6 +192,7 @@ impl Stage {
             Stage::Step => "step",
             Stage::Megakernel => "megakernel",
             Stage::Resolve => "resolve",
+            Stage::Commit => "commit",
         }
     }
 
@@ -204,6 +221,7 @@ impl Stage {
     /// Feature flags of this stage beyond those of the scene.
     pub fn flags(self, scene: &KernelKey, schedule: Schedule) -> Vec<(&'static str, bool)> {
         vec![
+            ("commits", self == Stage::Commit),
             ("in_place", schedule == Schedule::Compacted),
             ("pushes_hits", self == Stage::Intersect),
             ("pushes_shadows", matches!(self, Stage::Shade(_))),
@@ -220,6 +238,7 @@ impl Stage {
             let _ = writeln!(text, "const {name}: u32 = {value}u;");
         };
         define("WORKGROUP", WORKGROUP);
+        define("CELLS_AT_ONCE", CELLS_AT_ONCE);
         define("BLOCK", BLOCK);
         define("SPLIT", scene.places);
         define("COUNTERS", counter_words(scene));

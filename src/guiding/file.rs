@@ -1,10 +1,9 @@
 //! What was learnt, as a file: docs/GUIDE_FORMAT.md. Files are data from anywhere: damaged, truncated or lying ones are
 //! errors, never a panic, and never take memory out of proportion to their own size.
 
-use super::learner::{
-    CellState, Learner, LearnerError, MOST_CELLS_IN_ALL, MOST_NODES, NodeState, fixed_point_unit,
-};
+use super::learner::{Learner, LearnerError, MOST_CELLS_IN_ALL, MOST_NODES, fixed_point_unit};
 use super::quadtree::MAX_DEPTH;
+use super::state::{CellState, GuideState, NodeState};
 use super::table::{FINER, GuideTable, GuideUniforms, MAX_CELL_LEVELS, NO_CELL};
 use super::tickets::MOST_CELL_NODES;
 use super::{GuideMode, GuideOptions};
@@ -150,12 +149,12 @@ impl Learner {
 
     /// Edge of a base cell.
     pub fn cell_size(&self) -> f32 {
-        1.0 / self.uniforms.inverse_size
+        1.0 / self.grid.inverse_size
     }
 
     /// The table as it stands, to be looked at.
     pub fn snapshot(&self) -> GuideTable {
-        self.clone().table(false, &[])
+        self.table(false, &[])
     }
 
     /// A learner that goes on from here with other options; its cells stay where they are. `brightest` is the largest
@@ -168,14 +167,14 @@ impl Learner {
         if bytes > options.memory {
             return Err(LearnerError::LearntMemory { bytes, limit: options.memory });
         }
-        let uniforms = GuideUniforms {
+        let grid = GuideUniforms {
             unit: fixed_point_unit(brightest),
             mixture: options.mixture,
             threshold: options.threshold,
             discount: options.discount,
-            ..self.uniforms
+            ..self.grid
         };
-        Ok(Learner { options, uniforms, ..self.clone() })
+        Ok(Learner { options, grid, ..self.clone() })
     }
 
     /// Writes what was learnt. The target is replaced only by a complete file.
@@ -208,7 +207,7 @@ impl Learner {
         put(&mut out, [VERSION, mode]);
         out.extend(self.scene.to_le_bytes());
         out.extend(self.samples.to_le_bytes());
-        let u = &self.uniforms;
+        let u = &self.grid;
         put(&mut out, [self.passes]);
         put(&mut out, u.origin.to_array().map(f32::to_bits));
         put(
@@ -216,12 +215,21 @@ impl Learner {
             [u.inverse_size.to_bits(), u.lift.to_bits(), u.cells_x, u.cells_y, u.cells_z, u.sectors],
         );
         put_section(&mut out, "INDX", self.index.iter().copied());
-        put_section(&mut out, "CELL", self.cells.iter().zip(&self.word_of).flat_map(cell_words));
-        let nodes = self.cells.iter().flat_map(|cell| &cell.nodes);
+        put_section(&mut out, "CELL", (0..self.cells()).flat_map(|cell| self.cell_words(cell)));
+        let nodes = self.state.nodes.iter().zip(&self.state.children);
         put_section(&mut out, "NODE", nodes.flat_map(node_words));
         let checksum = fnv1a([out.as_slice()]);
         out.extend(checksum.to_le_bytes());
         out
+    }
+
+    fn cell_words(&self, number: usize) -> [u32; CELL_WORDS] {
+        let (cell, trees) = (&self.state.cells[number], &self.state.trees[number]);
+        let mut words = [0; CELL_WORDS];
+        words[..8].copy_from_slice(&cell.octants.map(f32::to_bits));
+        words[8..16].copy_from_slice(&cell.visits.map(f32::to_bits));
+        words[16..].copy_from_slice(&[trees.roots, self.levels[number], trees.nodes, trees.row]);
+        words
     }
 }
 
@@ -233,17 +241,9 @@ fn read_file(path: &Path) -> io::Result<Vec<u8>> {
     std::fs::read(path)
 }
 
-fn cell_words((cell, &word): (&CellState, &u32)) -> [u32; CELL_WORDS] {
-    let mut words = [0; CELL_WORDS];
-    words[..8].copy_from_slice(&cell.octants.map(f32::to_bits));
-    words[8..16].copy_from_slice(&cell.visits.map(f32::to_bits));
-    words[16..].copy_from_slice(&[cell.roots, cell.level, cell.nodes.len() as u32, word]);
-    words
-}
-
-fn node_words(node: &NodeState) -> [u32; NODE_WORDS] {
-    let [a, b, c, d] = node.energies.map(f32::to_bits);
-    [a, b, c, d, node.children]
+fn node_words((energies, &children): (&NodeState, &u32)) -> [u32; NODE_WORDS] {
+    let [a, b, c, d] = energies.map(f32::to_bits);
+    [a, b, c, d, children]
 }
 
 fn from_bytes(bytes: &[u8]) -> Result<Learner, Fault> {
@@ -279,29 +279,27 @@ fn read_body(reader: &mut Reader) -> Result<Learner, Fault> {
     };
     let (scene, samples, passes) = (reader.u64()?, reader.u64()?, reader.u32()?);
     let options = GuideOptions { mode, ..Default::default() };
-    let uniforms = read_grid(reader, &options)?;
+    let grid = read_grid(reader, &options)?;
     let index: Vec<u32> = reader.section("INDX", 1)?.flatten().collect();
-    let levels = levels(&index, &uniforms)?;
+    let levels = levels(&index, &grid)?;
     let cells: Vec<Vec<u32>> = reader.section("CELL", CELL_WORDS)?.collect();
     let mut nodes = reader.section("NODE", NODE_WORDS)?;
     let mut learner = Learner {
         options,
-        uniforms,
-        word_of: cells.iter().map(|words| words[19]).collect(),
-        cells: Vec::with_capacity(cells.len()),
+        grid,
+        levels: cells.iter().map(|words| words[17]).collect(),
+        state: GuideState::default(),
         index,
-        first_node: Vec::new(),
         passes,
         samples,
         scene,
     };
     for (number, words) in cells.iter().enumerate() {
-        let cell = read_cell(words, &mut nodes, mode)?;
+        read_cell(words, &mut nodes, mode, &mut learner.state)?;
         let word = words[19] as usize;
-        if learner.index.get(word) != Some(&(number as u32)) || levels[word] != cell.level {
+        if learner.index.get(word) != Some(&(number as u32)) || levels[word] != words[17] {
             return damaged(format!("cell {number} is not where it says"));
         }
-        learner.cells.push(cell);
     }
     if nodes.next().is_some() {
         return damaged("it has nodes that belong to no cell");
@@ -380,50 +378,52 @@ fn read_cell(
     words: &[u32],
     nodes: &mut impl Iterator<Item = Vec<u32>>,
     mode: GuideMode,
-) -> Result<CellState, Fault> {
-    let (roots, level, count) = (words[16], words[17], words[18]);
-    let mut cell = CellState {
-        octants: energies(&words[..8])?,
-        visits: energies(&words[8..16])?,
-        roots,
-        nodes: Vec::new(),
-        level,
-    };
+    state: &mut GuideState,
+) -> Result<(), Fault> {
+    let (roots, count) = (words[16], words[18]);
+    let cell = CellState { octants: energies(&words[..8])?, visits: energies(&words[8..16])? };
     if count as usize > MOST_CELL_NODES {
         return damaged("it has a cell with too many nodes");
     }
+    let (mut known, mut children) = (Vec::new(), Vec::new());
     for _ in 0..count {
         let Some(words) = nodes.next() else { return damaged("it has too few nodes") };
-        cell.nodes.push(NodeState { energies: energies(&words)?, children: words[4] });
+        known.push(energies(&words)?);
+        children.push(words[4]);
     }
-    match mode == GuideMode::Adaptive || cell.nodes.is_empty() {
-        true if is_breadth_first(&cell) => Ok(cell),
-        _ => damaged("its quadtrees make no sense"),
+    if !is_breadth_first(roots, &children) || (mode != GuideMode::Adaptive && count > 0) {
+        return damaged("its quadtrees make no sense");
     }
+    state.push(words[19], cell, roots, &known, &children);
+    Ok(())
 }
 
 /// Whether each node but the roots follows its parent, in the order in which parents lie, and none lies too deep.
-fn is_breadth_first(cell: &CellState) -> bool {
-    if cell.roots >> 8 != 0 {
+fn is_breadth_first(roots: u32, children: &[u32]) -> bool {
+    if roots >> 8 != 0 {
         return false;
     }
-    let mut depths = vec![1; cell.roots.count_ones() as usize];
-    for (at, node) in cell.nodes.iter().enumerate() {
+    let mut depths = vec![1; roots.count_ones() as usize];
+    for (at, &children) in children.iter().enumerate() {
         let Some(&depth) = depths.get(at) else { return false };
-        if (node.children >> 4) as usize != depths.len() || depth > MAX_DEPTH {
+        if (children >> 4) as usize != depths.len() || depth > MAX_DEPTH {
             return false;
         }
-        depths.extend(std::iter::repeat_n(depth + 1, (node.children & 15).count_ones() as usize));
+        depths.extend(std::iter::repeat_n(depth + 1, (children & 15).count_ones() as usize));
     }
-    depths.len() == cell.nodes.len()
+    depths.len() == children.len()
 }
 
 /// Every cell that the index names exists, and slots can be numbered in 31 bits.
 fn check_counts(learner: &Learner) -> Result<(), Fault> {
-    let cells = learner.cells.len();
+    let cells = learner.cells();
     let named = learner.index.iter().filter(|&&word| word & FINER == 0);
     if named.clone().any(|&cell| cell as usize >= cells) {
         return damaged("its index names cells that it does not have");
+    }
+    // A commit keeps one row of the index per cell up to date, where it writes any.
+    if learner.mode() != GuideMode::Adaptive && named.count() != cells {
+        return damaged("its index names cells twice");
     }
     match 8 * cells as u64 + 4 * learner.nodes() as u64 {
         slots if slots < 1 << 31 && learner.nodes() < MOST_NODES && cells <= MOST_CELLS_IN_ALL => Ok(()),

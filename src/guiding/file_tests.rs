@@ -79,7 +79,7 @@ fn what_was_learnt_comes_back_as_it_was() {
         assert_eq!((after.mode(), after.cells(), after.nodes()), (mode, before.cells(), before.nodes()));
         assert_eq!((after.passes(), after.samples(), after.scene()), (4, 4, 7 ^ 0xabcd));
         let unit = fixed_point_unit(10.0);
-        let mut resumed = after.resumed(*before.options(), 10.0).unwrap();
+        let resumed = after.resumed(*before.options(), 10.0).unwrap();
         let (table, expected) = (resumed.table(true, &[0.5]), before.clone().table(true, &[0.5]));
         assert_eq!((table.uniforms, table.rows), (expected.uniforms, expected.rows));
         assert_eq!(table.uniforms.unit, unit);
@@ -105,7 +105,12 @@ fn bytes_are_those_of_the_buffers() {
     for mode in MODES {
         let learner = learner(mode, 11);
         let table = learner.snapshot();
-        assert_eq!(learner.bytes(), learner.table_bytes() + learner.sums_bytes(), "{mode}");
+        assert_eq!(learner.bytes(), learner.table_bytes() + learner.sums_bytes() + learner.state_bytes());
+        let state = &learner.state;
+        let known = size_of_val(&*state.cells) + size_of_val(&*state.nodes);
+        let shapes = size_of_val(&*state.trees) + size_of_val(&*state.children);
+        let met = if mode == GuideMode::Adaptive { 32 * learner.cells() } else { 0 };
+        assert_eq!(learner.state_bytes(), (known + shapes + met) as u64, "{mode}");
         let rows = learner.table_bytes().div_ceil(16);
         assert_eq!(rows, table.rows.len() as u64, "{mode}");
         assert_eq!(learner.sums_bytes(), 4 * LessonLayout::new(&table.uniforms).words(), "{mode}");

@@ -1,9 +1,11 @@
-//! The learner: lessons of a pass → the next table. Cells are made where paths meet surfaces and cut where they meet them
-//! often; quadtrees are cut where light comes from. On the host: there are a dozen passes in a render.
+//! The learner: what was learnt, between passes. Engines commit the lessons of a pass to it; here cells are made where paths
+//! meet surfaces, and what is known is laid out for the next pass.
 
-use super::lessons::{LessonLayout, Lessons, VISIT_UNIT};
-use super::table::{CELL_BITS, Cell, FINER, GuideTable, GuideUniforms, MAX_CELL_LEVELS, NO_CELL};
-use super::tickets::{CellSize, lay_out};
+use super::commit::commit;
+use super::layout::{Layout, put_pixels, words_of};
+use super::lessons::{LessonLayout, Lessons};
+use super::state::{CellState, Committed, GuideState, GuideUpdate, Stale};
+use super::table::{CELL_BITS, GuideTable, GuideUniforms, NO_CELL};
 use super::{GuideMode, GuideOptions};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -12,17 +14,16 @@ use rayon::prelude::*;
 const BASE_CELLS: f32 = 16.0;
 /// Base cells along any side at most.
 const MOST_CELLS: f32 = 128.0;
-/// Share of a cell's irradiance above which a leaf is cut, and below which four are joined.
-const SPLIT_SHARE: f32 = 0.005;
-/// Visits that a leaf should rest on before it is cut, so that trees do not learn noise.
-const SPLIT_SUPPORT: f32 = 64.0;
-/// Visits in one pass above which a cell is cut, for a pass of one sample per pixel; grows with the square root of the
-/// pass, so that cells grow finer and better known.
-const SPLIT_VISITS: f64 = 20000.0;
-/// Visits with which a cell's guide is trusted half.
-const TRUSTED_VISITS: f32 = 256.0;
 /// Bytes of a row of the index, and of a pass's mark for it.
 pub(super) const INDEX_BYTES: u64 = 16 + 4;
+/// Bytes of a cell and of a quadtree node in the sums of a pass.
+const CELL_SUM_BYTES: u64 = 2 * 64;
+const NODE_SUM_BYTES: u64 = 32;
+/// Bytes of a cell and of a quadtree node in what is known, the trees' words included.
+const CELL_STATE_BYTES: u64 = 64 + 16;
+const NODE_STATE_BYTES: u64 = 16 + 4;
+/// Adaptive: bytes of how often a cell was met in a pass.
+const MET_BYTES: u64 = 32;
 /// Fixed-point units per unit of radiance, as a power of two below the brightest emitter.
 const UNIT_BITS: i32 = 36;
 
@@ -47,47 +48,17 @@ pub enum LearnerError {
     Mode { learnt: GuideMode, wanted: GuideMode },
 }
 
-/// What a cell knows, in the order in which it lies in the table.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct CellState {
-    /// Per octant: adaptive irradiance, else mean radiance.
-    pub(super) octants: [f32; 8],
-    /// Weight of what was learnt: per octant, except adaptive, where all are the cell's.
-    pub(super) visits: [f32; 8],
-    /// Octants with a quadtree: a bit each, below the position of the first in `nodes`.
-    pub(super) roots: u32,
-    /// Breadth first, so that children lie next to each other.
-    pub(super) nodes: Vec<NodeState>,
-    /// Cuts of a base cell that led here.
-    pub(super) level: u32,
-}
-
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct NodeState {
-    pub(super) energies: [f32; 4],
-    /// As in [`Node`], relative to the cell's first node.
-    pub(super) children: u32,
-}
-
-/// Position of child `i` of a node or cell whose mask has `bits` bits.
-pub(super) fn child_of(children: u32, bits: u32, i: u32) -> Option<usize> {
-    let mask = children & ((1 << bits) - 1);
-    let before = (mask & ((1 << i) - 1)).count_ones();
-    (mask >> i & 1 == 1).then_some(((children >> bits) + before) as usize)
-}
-
 /// Everything that was learnt, between passes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Learner {
     pub(super) options: GuideOptions,
-    pub(super) uniforms: GuideUniforms,
-    /// As in the table.
+    /// But for what [`Learner::uniforms`] derives.
+    pub(super) grid: GuideUniforms,
+    /// A word for each row of the table's index: the number of a cell, the first of eight finer words, or none.
     pub(super) index: Vec<u32>,
-    /// Which word of the index leads to each cell.
-    pub(super) word_of: Vec<u32>,
-    pub(super) cells: Vec<CellState>,
-    /// Where each cell's nodes begin in the table that is out.
-    pub(super) first_node: Vec<u32>,
+    /// Cuts of a base cell that led to each cell.
+    pub(super) levels: Vec<u32>,
+    pub(super) state: GuideState,
     pub(super) passes: u32,
     /// Samples per pixel that taught.
     pub(super) samples: u64,
@@ -118,7 +89,7 @@ impl Learner {
         let cells = |extent: f32| ((extent + 2.0 * margin) / size).ceil().max(1.0) as u32;
         let [x, y, z] = (high - low).to_array().map(cells);
         let sectors = if options.mode == GuideMode::Adaptive { 6 } else { 1 };
-        let uniforms = GuideUniforms {
+        let grid = GuideUniforms {
             origin: low - margin,
             inverse_size: 1.0 / size,
             cells_x: x,
@@ -132,18 +103,17 @@ impl Learner {
             discount: options.discount,
             ..Default::default()
         };
-        let bytes = INDEX_BYTES * u64::from(uniforms.base_words());
+        let bytes = INDEX_BYTES * u64::from(grid.base_words());
         if bytes > options.memory {
             return Err(LearnerError::Memory { bytes, limit: options.memory });
         }
-        let index = vec![NO_CELL; uniforms.base_words() as usize];
+        let index = vec![NO_CELL; grid.base_words() as usize];
         Ok(Learner {
             options,
-            uniforms,
+            grid,
             index,
-            word_of: Vec::new(),
-            cells: Vec::new(),
-            first_node: Vec::new(),
+            levels: Vec::new(),
+            state: GuideState::default(),
             passes: 0,
             samples: 0,
             scene: 0,
@@ -156,328 +126,151 @@ impl Learner {
 
     /// How the sums of a pass with the current table are laid out.
     pub fn layout(&self) -> LessonLayout {
-        LessonLayout::new(&self.uniforms)
+        LessonLayout::new(&self.counted())
+    }
+
+    /// What it knows.
+    pub fn state(&self) -> &GuideState {
+        &self.state
     }
 
     /// Cells that exist.
     pub fn cells(&self) -> usize {
-        self.cells.len()
+        self.state.cells.len()
     }
 
     /// Quadtree nodes that exist.
     pub fn nodes(&self) -> usize {
-        self.cells.iter().map(|cell| cell.nodes.len()).sum()
+        self.state.nodes.len()
     }
 
-    /// Makes a cell, without knowledge, at each surface point's base cell that `missing` marks.
-    pub fn make_cells(&mut self, missing: &[u32]) {
+    /// Makes a cell, without knowledge, at each surface point's base cell that `missing` marks; whether there were any.
+    pub fn make_cells(&mut self, missing: &[u32]) -> bool {
+        let before = self.cells();
         for (word, &missed) in missing.iter().enumerate() {
             if missed != 0 && self.index[word] == NO_CELL {
-                self.add_cell(word as u32, CellState::default());
+                self.state.push(word as u32, CellState::default(), 0, &[], &[]);
+                self.enter_cell(word as u32, 0);
             }
         }
+        self.cells() > before
     }
 
-    fn add_cell(&mut self, word: u32, state: CellState) {
-        self.index[word as usize] = self.cells.len() as u32;
-        self.word_of.push(word);
-        self.cells.push(state);
+    /// Has a word of the index lead to the last cell.
+    pub(super) fn enter_cell(&mut self, word: u32, level: u32) {
+        self.index[word as usize] = self.levels.len() as u32;
+        self.levels.push(level);
     }
 
-    /// Takes in what a pass of `samples` samples per pixel taught.
+    /// Takes in what a pass of `samples` samples per pixel taught, as the CPU engine commits it.
     pub fn learn(&mut self, lessons: &Lessons, samples: u32) {
-        // A level at most is added to each tree in a pass, so numbers of nodes stay within their 24 bits.
-        let refines =
-            self.options.depth > 0 && self.nodes() < MOST_NODES / 4 && self.bytes() <= self.options.memory;
-        let pass = Pass { options: &self.options, uniforms: &self.uniforms, lessons, refines };
-        let first_node = &self.first_node;
-        let visits: Vec<f64> = self
-            .cells
-            .par_iter_mut()
-            .enumerate()
-            .with_min_len(64)
-            .map(|(i, cell)| pass.update(cell, i, first_node[i] as usize))
-            .collect();
-        self.make_cells(&lessons.missing);
-        if self.options.mode == GuideMode::Adaptive {
-            self.cut_cells(lessons, &visits, SPLIT_VISITS * f64::from(samples.max(1)).sqrt());
+        let mut table = self.table(true, &[]);
+        let met = commit(self.mode(), &table.uniforms, lessons, &mut self.state, &mut table.rows);
+        self.refine(&met, &lessons.missing, samples);
+        self.count_pass(samples);
+    }
+
+    /// Takes in what an engine committed after a pass of `samples` samples per pixel; what of its table is not as it should be
+    /// then.
+    pub fn take_in(&mut self, committed: Committed, samples: u32) -> Stale {
+        self.state.cells = committed.cells;
+        self.state.nodes = committed.nodes;
+        self.count_pass(samples);
+        match self.refine(&committed.met, &committed.missing, samples) {
+            true => Stale::State,
+            // Every ticket of a cell depends on all its energies.
+            false if self.mode() == GuideMode::Adaptive => Stale::Rows,
+            false => Stale::Pixels,
         }
+    }
+
+    fn count_pass(&mut self, samples: u32) {
         self.passes += 1;
         self.samples += u64::from(samples);
     }
 
-    /// Cuts cells that were met more than `limit` times into those of their eighths that hold surfaces.
-    fn cut_cells(&mut self, lessons: &Lessons, visits: &[f64], limit: f64) {
-        let mut bytes = self.bytes();
-        for (cell, &count) in visits.iter().enumerate() {
-            let full = bytes > self.options.memory || self.cells.len() + 8 > MOST_CELLS_IN_ALL;
-            if count <= limit || self.cells[cell].level >= MAX_CELL_LEVELS || full {
-                continue;
-            }
-            let met = &lessons.visits[8 * cell..8 * cell + 8];
-            let parts: Vec<u32> = (0..8).filter(|&eighth| met[eighth as usize] > 0).collect();
-            let state = &mut self.cells[cell];
-            state.level += 1;
-            state.visits.iter_mut().for_each(|v| *v /= parts.len().max(1) as f32);
-            let state = state.clone();
-            let copies = parts.len().saturating_sub(1) as u64;
-            bytes += 8 * INDEX_BYTES + copies * self.cell_bytes(&state);
-            let block = self.index.len() as u32;
-            let parent = self.word_of[cell] as usize;
-            self.index[parent] = FINER | block;
-            // The cell itself becomes the first of its parts, and stands in for those that hold no surface.
-            self.index.extend([cell as u32; 8]);
-            self.word_of[cell] = block + parts.first().copied().unwrap_or(0);
-            for part in parts.into_iter().skip(1) {
-                self.add_cell(block + part, state.clone());
-            }
-        }
-    }
-
-    /// Bytes of the table and its sums, but for the estimates of the pixels.
+    /// Bytes of the table, its sums and what is known, but for the estimates of the pixels.
     pub fn bytes(&self) -> u64 {
-        self.table_bytes() + self.sums_bytes()
+        self.table_bytes() + self.sums_bytes() + self.state_bytes()
     }
 
     /// Bytes of the table, but for the estimates of the pixels.
     pub fn table_bytes(&self) -> u64 {
-        let words: u64 = self.cells.par_iter().map(|cell| self.table_words(cell)).sum();
+        let words: u64 = (0..self.cells()).into_par_iter().map(|cell| self.table_words(cell)).sum();
         16 * self.index.len() as u64 + 4 * words
     }
 
     /// Words of a cell in the table.
-    fn table_words(&self, cell: &CellState) -> u64 {
-        if self.options.mode == GuideMode::Adaptive { CellSize::of(cell).words() as u64 } else { 8 }
-    }
-
-    /// Bytes of a cell in the table and in the sums of a pass.
-    fn cell_bytes(&self, cell: &CellState) -> u64 {
-        4 * self.table_words(cell) + 128 + 32 * cell.nodes.len() as u64
+    fn table_words(&self, cell: usize) -> u64 {
+        u64::from(words_of(self.mode(), &self.state.cell(cell)))
     }
 
     /// Bytes of the sums of a pass.
     pub fn sums_bytes(&self) -> u64 {
-        let counts = GuideUniforms {
-            cell_count: self.cells.len() as u32,
-            node_count: self.nodes() as u32,
-            ..self.uniforms
+        4 * self.layout().words()
+    }
+
+    /// Bytes of what is known, and of how often cells were met.
+    pub fn state_bytes(&self) -> u64 {
+        self.cell_state_bytes() * self.cells() as u64 + NODE_STATE_BYTES * self.nodes() as u64
+    }
+
+    /// … of a cell without its nodes.
+    fn cell_state_bytes(&self) -> u64 {
+        CELL_STATE_BYTES + if self.mode() == GuideMode::Adaptive { MET_BYTES } else { 0 }
+    }
+
+    /// Bytes of a cell: in the table, in the sums of a pass, in what is known.
+    pub(super) fn cell_bytes(&self, cell: usize) -> u64 {
+        let nodes = (NODE_SUM_BYTES + NODE_STATE_BYTES) * u64::from(self.state.trees[cell].nodes);
+        4 * self.table_words(cell) + CELL_SUM_BYTES + self.cell_state_bytes() + nodes
+    }
+
+    /// The grid with the numbers of cells and nodes.
+    fn counted(&self) -> GuideUniforms {
+        let (cell_count, node_count) = (self.cells() as u32, self.nodes() as u32);
+        GuideUniforms { cell_count, node_count, ..self.grid }
+    }
+
+    /// The numbers of the next pass.
+    fn uniforms(&self, layout: &Layout, learning: bool) -> GuideUniforms {
+        let alpha = self.options.alpha;
+        let memory = match self.mode() {
+            // Any visit is beyond that, and no number of them too large for an f32.
+            mode if mode.is_bansal() => (-f64::from(-alpha.unwrap_or(1e-4)).ln_1p()).min(1e20) as f32,
+            _ => 1.0 - alpha.unwrap_or(0.75),
         };
-        4 * LessonLayout::new(&counts).words()
+        let (words_at, pixels_at) = (layout.words_at(), layout.pixels_at());
+        GuideUniforms { words_at, pixels_at, learning: learning.into(), memory, ..self.counted() }
     }
 
-    /// The table for the next pass. `pixels` are estimates of the pixels' luminances, for learnt roulette.
-    pub fn table(&mut self, learning: bool, pixels: &[f32]) -> GuideTable {
-        self.number_nodes();
-        let adaptive = self.options.mode == GuideMode::Adaptive;
-        let sizes: Vec<CellSize> = match adaptive {
-            true => self.cells.par_iter().with_min_len(64).map(CellSize::of).collect(),
-            false => Vec::new(),
-        };
-        let words_of = |cell: usize| if adaptive { sizes[cell].words() } else { 8 };
-        let ends: Vec<usize> = (0..self.cells.len())
-            .scan(0, |end, cell| {
-                *end += words_of(cell);
-                Some(*end)
-            })
-            .collect();
-        let uniforms = &mut self.uniforms;
-        uniforms.words_at = self.index.len() as u32;
-        uniforms.pixels_at = uniforms.words_at + ends.last().unwrap_or(&0).div_ceil(4) as u32;
-        uniforms.learning = learning.into();
-        // All zeros: pages are first touched by the threads that fill them.
-        let mut rows = vec![[0u32; 4]; uniforms.pixels_at as usize + pixels.len().div_ceil(4)];
-        for (row, &word) in rows.iter_mut().zip(&self.index) {
-            *row = match word {
-                NO_CELL => [NO_CELL; 4],
-                _ if word & FINER != 0 => [word & !FINER, FINER, 0, 0],
-                cell => {
-                    let first = ends[cell as usize] - words_of(cell as usize);
-                    self.index_row(cell, first as u32, sizes.get(cell as usize))
-                }
-            };
+    /// What an engine needs for the next pass where so much of its table is `stale`. `pixels` are estimates of the pixels'
+    /// luminances, for learnt roulette.
+    pub fn update<'a>(&'a self, learning: bool, stale: Stale, pixels: &'a [f32]) -> GuideUpdate<'a> {
+        let layout = Layout::new(self.mode(), &self.index, &self.state);
+        GuideUpdate {
+            uniforms: self.uniforms(&layout, learning),
+            rows: (stale >= Stale::Rows).then(|| layout.rows(pixels)),
+            state: (stale >= Stale::State).then_some(&self.state),
+            pixels,
         }
-        self.fill_words(&mut rows[self.index.len()..], words_of, &sizes);
-        for (word, pixel) in
-            rows[self.uniforms.pixels_at as usize..].as_flattened_mut().iter_mut().zip(pixels)
-        {
-            *word = pixel.to_bits();
-        }
-        GuideTable { uniforms: self.uniforms, rows }
     }
 
-    /// Fills in what cells have besides their rows of the index.
-    fn fill_words(&self, rows: &mut [[u32; 4]], words_of: impl Fn(usize) -> usize, sizes: &[CellSize]) {
-        let mut open = rows.as_flattened_mut();
-        let mut places = Vec::with_capacity(self.cells.len());
-        for (i, cell) in self.cells.iter().enumerate() {
-            let (own, rest) = open.split_at_mut(words_of(i));
-            places.push((cell, self.first_node[i], sizes.get(i), own));
-            open = rest;
-        }
-        let nodes_at = 8 * self.uniforms.cell_count;
-        places.into_par_iter().with_min_len(16).for_each(|(cell, first_node, size, own)| match size {
-            Some(&size) => lay_out(cell, size, nodes_at + 4 * first_node, own),
-            None => own.copy_from_slice(&cell.octants.map(f32::to_bits)),
-        });
-    }
-
-    /// Numbers cells and nodes for the next pass.
-    fn number_nodes(&mut self) {
-        let mut nodes = 0;
-        self.first_node.clear();
-        for cell in &self.cells {
-            self.first_node.push(nodes);
-            nodes += cell.nodes.len() as u32;
-        }
-        self.uniforms.cell_count = self.cells.len() as u32;
-        self.uniforms.node_count = nodes;
-    }
-
-    /// How the index tells of a cell whose words begin at `first`.
-    fn index_row(&self, index: u32, first: u32, size: Option<&CellSize>) -> [u32; 4] {
-        let cell = &self.cells[index as usize];
-        let irradiance: f32 = cell.octants.iter().sum();
-        let visits = if size.is_some() { cell.visits[0] } else { cell.visits.iter().sum() };
-        let trust = match self.options.mode {
-            _ if irradiance <= 0.0 => 0.0,
-            GuideMode::Adaptive | GuideMode::Octant => visits / (visits + TRUSTED_VISITS),
-            _ => 1.0,
-        };
-        // Before an adaptive cell's tickets comes a word of another kind.
-        let (at, log_tickets) = size.map_or((first, 0), |size| (first + 1, size.log_tickets));
-        Cell { index, at, log_tickets, irradiance, trust, ..Default::default() }.row()
+    /// The table for the next pass, as the CPU engine has it.
+    pub fn table(&self, learning: bool, pixels: &[f32]) -> GuideTable {
+        let mut table = GuideTable::default();
+        table.update(self.update(learning, Stale::State, pixels));
+        table
     }
 }
 
-/// What updating a cell needs.
-struct Pass<'a> {
-    options: &'a GuideOptions,
-    uniforms: &'a GuideUniforms,
-    lessons: &'a Lessons,
-    /// Whether trees may change their shape.
-    refines: bool,
-}
-
-impl Pass<'_> {
-    fn value(&self, slot: usize) -> f64 {
-        self.lessons.values[slot] as f64 / f64::from(self.uniforms.unit)
-    }
-
-    fn visits(&self, at: usize) -> f64 {
-        self.lessons.visits[at] as f64 / f64::from(VISIT_UNIT)
-    }
-
-    /// Takes in one cell's lessons; its visits in this pass.
-    fn update(&self, cell: &mut CellState, index: usize, first_node: usize) -> f64 {
-        match self.options.mode {
-            GuideMode::Adaptive => self.update_quadtrees(cell, index, first_node),
-            GuideMode::Octant => self.update_octants(cell, index),
-            _ => self.update_bansal(cell, index),
+impl GuideTable {
+    /// The table of the next pass.
+    pub fn update(&mut self, update: GuideUpdate) {
+        self.uniforms = update.uniforms;
+        match update.rows {
+            Some(rows) => self.rows = rows,
+            None => put_pixels(&mut self.rows[update.uniforms.pixels_at as usize..], update.pixels),
         }
     }
-
-    /// Q ← mean(T) weighted by the cosine over the density, over this pass and what earlier ones are still worth.
-    fn update_octants(&self, cell: &mut CellState, index: usize) -> f64 {
-        let memory = 1.0 - self.options.alpha.unwrap_or(0.75);
-        let mut all = 0.0;
-        for a in 0..8 {
-            let (value, weight) = (self.value(8 * index + a) as f32, self.visits(8 * index + a) as f32);
-            let kept = memory * cell.visits[a];
-            if weight > 0.0 {
-                cell.octants[a] = (kept * cell.octants[a] + value) / (kept + weight);
-                cell.visits[a] = kept + weight;
-            }
-            all += f64::from(weight);
-        }
-        all
-    }
-
-    /// n updates Q ← (1 − α)·Q + α·T at once.
-    fn update_bansal(&self, cell: &mut CellState, index: usize) -> f64 {
-        let alpha = f64::from(self.options.alpha.unwrap_or(1e-4));
-        let mut all = 0.0;
-        for a in 0..8 {
-            let visits = self.visits(8 * index + a);
-            if visits > 0.0 {
-                let kept = (visits * (-alpha).ln_1p()).exp();
-                let mean = self.value(8 * index + a) / visits;
-                cell.octants[a] = (kept * f64::from(cell.octants[a]) + (1.0 - kept) * mean) as f32;
-            }
-            all += visits;
-        }
-        all
-    }
-
-    fn update_quadtrees(&self, cell: &mut CellState, index: usize, first_node: usize) -> f64 {
-        let visits: f64 = (0..8).map(|eighth| self.visits(8 * index + eighth)).sum();
-        if visits <= 0.0 {
-            return 0.0;
-        }
-        let memory = 1.0 - self.options.alpha.unwrap_or(0.75);
-        let kept = memory * cell.visits[0];
-        let old = kept / (kept + visits as f32);
-        let new = (1.0 - f64::from(old)) / visits;
-        cell.visits = [kept + visits as f32; 8];
-        let blend = |energy: &mut f32, slot: usize| *energy = *energy * old + (self.value(slot) * new) as f32;
-        let node_slots = 8 * self.uniforms.cell_count as usize + 4 * first_node;
-        // Leaves learn; nodes add up what lies below them, deepest first.
-        for i in (0..cell.nodes.len()).rev() {
-            for q in 0..4 {
-                let below = child_of(cell.nodes[i].children, 4, q as u32)
-                    .map(|child| cell.nodes[child].energies.iter().sum());
-                let energy = &mut cell.nodes[i].energies[q];
-                match below {
-                    Some(sum) => *energy = sum,
-                    None => blend(energy, node_slots + 4 * i + q),
-                }
-            }
-        }
-        for a in 0..8 {
-            match child_of(cell.roots, 8, a as u32) {
-                Some(root) => cell.octants[a] = cell.nodes[root].energies.iter().sum(),
-                None => blend(&mut cell.octants[a], 8 * index + a),
-            }
-        }
-        if self.refines {
-            refine(cell, self.options.depth);
-        }
-        visits
-    }
-}
-
-/// Cuts leaves that hold much of the cell's irradiance, one level at a time, and joins those that hold little.
-fn refine(cell: &mut CellState, depth: u32) {
-    let total: f32 = cell.octants.iter().sum();
-    let limit = SPLIT_SHARE.max(SPLIT_SUPPORT / cell.visits[0].max(1.0)) * total;
-    let old = std::mem::take(&mut cell.nodes);
-    /// A node to be emitted: the one that it was, or the energy of the leaf that it was.
-    type Source = (Option<usize>, f32, u32);
-    let mut queue: Vec<Source> = Vec::new();
-    let mut nodes: Vec<NodeState> = Vec::new();
-    let mut mask = 0;
-    for a in 0..8 {
-        if cell.octants[a] > limit && depth > 0 {
-            mask |= 1 << a;
-            queue.push((child_of(cell.roots, 8, a as u32), cell.octants[a], 1));
-        }
-    }
-    cell.roots = mask;
-    let mut next = 0;
-    while next < queue.len() {
-        let (was, energy, level) = queue[next];
-        next += 1;
-        let energies = was.map_or([0.25 * energy; 4], |i| old[i].energies);
-        let first = queue.len() as u32;
-        let mut mask = 0;
-        for (q, &energy) in energies.iter().enumerate() {
-            // A leaf that was cut just now is not cut further before it has learnt.
-            if energy > limit && level < depth && was.is_some() {
-                mask |= 1 << q;
-                let child = was.and_then(|i| child_of(old[i].children, 4, q as u32));
-                queue.push((child, energy, level + 1));
-            }
-        }
-        nodes.push(NodeState { energies, children: first << 4 | mask });
-    }
-    cell.nodes = nodes;
 }

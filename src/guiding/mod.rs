@@ -1,18 +1,24 @@
 //! What was learnt, and how it guides: Q-tables over cells of surface points × directions. Lower floors know nothing of it;
-//! `transport` asks the table, engines collect the lessons, the [`Learner`] turns lessons into the next table.
+//! `transport` asks the table, engines collect the lessons and commit them to what is known, the [`Learner`] refines that
+//! between passes.
 //! docs/GUIDING.md has the mathematics.
 
+pub mod commit;
 mod file;
+mod layout;
 mod learner;
 pub mod lessons;
 pub mod octant;
 pub mod quadtree;
+mod refine;
+pub mod state;
 pub mod table;
 mod tickets;
 
 pub use file::{GuideFileError, VERSION as GUIDE_FILE_VERSION};
 pub use learner::{Learner, LearnerError};
 pub use lessons::{LessonLayout, LessonSums, Lessons, Trail, Transition};
+pub use state::{Committed, GuideState, GuideUpdate, Stale};
 pub use table::{GuideTable, GuideUniforms};
 
 use std::fmt;

@@ -39,8 +39,10 @@ gpu_struct! {
         discount: f32,
         /// 1 while transitions are collected. For the CPU engine: on a GPU, other kernels are linked.
         learning: u32,
+        /// What a pass leaves of what was known. Adaptive, octant: the share of its weight. Bansal's rule: −ln(1 − α), by
+        /// whose multiples visits forget.
+        memory: f32,
         _pad0: u32,
-        _pad1: u32,
     }
 }
 

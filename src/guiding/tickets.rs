@@ -1,8 +1,9 @@
 //! How the quadtrees of a cell lie in the table: each leaf gets its share of the cell's tickets, by which directions are
 //! drawn, and its squares on the map, by which the leaf of a direction is found ([`super::quadtree`]).
 
-use super::learner::{CellState, NodeState, child_of};
+use super::commit::child_of;
 use super::quadtree::{BLOCK_WORDS, FINER_BLOCK, LEAF_BITS, map_word, ticket};
+use super::state::KnownCell;
 
 /// Tickets per leaf at least, and of a cell at least and at most, as powers of two. A leaf's share is rounded to whole
 /// tickets, so more of them are more faithful, and take more memory (docs/GUIDING.md has what was measured).
@@ -21,14 +22,14 @@ pub(super) struct CellSize {
 }
 
 impl CellSize {
-    pub(super) fn of(cell: &CellState) -> CellSize {
-        let roots = (cell.roots & 255).count_ones();
+    pub(super) fn of(cell: &KnownCell) -> CellSize {
+        let roots = (cell.trees.roots & 255).count_ones();
         let mut depths = vec![0u8; roots as usize];
         // An octant has a block, and so has each node whose squares would be finer than those of the block above it.
         let (mut leaves, mut blocks) = (OCTANTS - roots, OCTANTS);
-        for (at, node) in cell.nodes.iter().enumerate() {
+        for (at, children) in cell.children.iter().enumerate() {
             let depth = depths[at];
-            let children = (node.children & 15).count_ones();
+            let children = (children & 15).count_ones();
             blocks += u32::from(depth > 0 && depth.is_multiple_of(2));
             leaves += 4 - children;
             depths.extend(std::iter::repeat_n(depth + 1, children as usize));
@@ -55,7 +56,7 @@ struct Leaf {
 }
 
 /// Fills a cell's words, all of them 0 before. `node_slot` is the slot of its first node's first quarter.
-pub(super) fn lay_out(cell: &CellState, size: CellSize, node_slot: u32, words: &mut [u32]) {
+pub(super) fn lay_out(cell: &KnownCell, size: CellSize, node_slot: u32, words: &mut [u32]) {
     let (first, words) = words.split_at_mut(1);
     first[0] = node_slot;
     let (tickets, map) = words.split_at_mut(1 << size.log_tickets);
@@ -108,12 +109,12 @@ impl Map<'_> {
 }
 
 /// The leaves of a cell, octant by octant, neighbours close to each other.
-fn leaves(cell: &CellState) -> Vec<Leaf> {
+fn leaves(cell: &KnownCell) -> Vec<Leaf> {
     let mut leaves = Vec::with_capacity(8 + 3 * cell.nodes.len());
     for octant in 0..OCTANTS {
-        let energy = cell.octants[octant as usize];
+        let energy = cell.cell.octants[octant as usize];
         let whole = Leaf { octant, depth: 0, square: [0; 2], energy, number: octant };
-        match child_of(cell.roots, 8, octant) {
+        match child_of(cell.trees.roots, 8, octant) {
             Some(root) => add_leaves(cell, root, &whole, &mut leaves),
             None => leaves.push(whole),
         }
@@ -122,17 +123,16 @@ fn leaves(cell: &CellState) -> Vec<Leaf> {
 }
 
 /// Adds the leaves below a node in place of the leaf that its square would be.
-fn add_leaves(cell: &CellState, node: usize, whole: &Leaf, leaves: &mut Vec<Leaf>) {
-    let NodeState { energies, children } = cell.nodes[node];
+fn add_leaves(cell: &KnownCell, node: usize, whole: &Leaf, leaves: &mut Vec<Leaf>) {
     for quarter in 0..4 {
         let leaf = Leaf {
             octant: whole.octant,
             depth: whole.depth + 1,
             square: [2 * whole.square[0] + (quarter & 1), 2 * whole.square[1] + (quarter >> 1)],
-            energy: energies[quarter as usize],
+            energy: cell.nodes[node][quarter as usize],
             number: OCTANTS + 4 * node as u32 + quarter,
         };
-        match child_of(children, 4, quarter) {
+        match child_of(cell.children[node], 4, quarter) {
             Some(child) => add_leaves(cell, child, &leaf, leaves),
             None => leaves.push(leaf),
         }

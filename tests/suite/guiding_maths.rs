@@ -377,7 +377,7 @@ proptest! {
 #[test]
 fn what_is_no_radiance_never_reaches_the_table() {
     for mode in MODES {
-        let mut learner = learnt(mode, 3).learner;
+        let learner = learnt(mode, 3).learner;
         let before = learner.table(true, &[]);
         let learn = |value: f32, visit: f32| {
             let mut learner = learner.clone();

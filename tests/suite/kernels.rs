@@ -8,7 +8,9 @@ use qtracer::gpu::key::KernelKey;
 use qtracer::gpu::link::{MODULES, link};
 use qtracer::gpu::stage::{GRID_WIDTH, Schedule, Stage, WORKGROUP};
 use qtracer::guiding::octant::OCTANT_DRAWS;
-use qtracer::guiding::{GuideMode, GuideUniforms, Trail, Transition, lessons, quadtree, table};
+use qtracer::guiding::{
+    GuideMode, GuideUniforms, Trail, Transition, commit, lessons, quadtree, state, table,
+};
 use qtracer::layout::GpuStruct;
 use qtracer::random::{DIMENSION_CAMERA, dimension_bsdf, dimension_guide, dimension_light};
 use qtracer::scene::compiled::{self, CompiledScene, Light, Material, Quad, Sphere, Triangle, Uniforms};
@@ -36,7 +38,7 @@ fn validate(wgsl: &str) -> naga::Module {
 }
 
 fn all_stages(key: &KernelKey) -> Vec<(Stage, Schedule)> {
-    let mut stages: Vec<_> = Stage::megakernel().into_iter().map(|s| (s, Schedule::Fused)).collect();
+    let mut stages: Vec<_> = Stage::megakernel(key).into_iter().map(|s| (s, Schedule::Fused)).collect();
     for schedule in SCHEDULES {
         stages.extend(Stage::wavefront(key, schedule).into_iter().map(|s| (s, schedule)));
     }
@@ -458,6 +460,10 @@ fn constants_shared_with_the_kernels_are_equal() {
         ("MAP_LEVELS", f64::from(quadtree::MAP_LEVELS)),
         ("MISSING", f64::from(lessons::MISSING)),
         ("VISIT_UNIT", f64::from(lessons::VISIT_UNIT)),
+        ("OCTANT_WORDS", f64::from(commit::OCTANT_WORDS)),
+        ("TRUSTED_VISITS", f64::from(commit::TRUSTED_VISITS)),
+        ("CELL_STATE_ROWS", f64::from(state::CELL_STATE_ROWS)),
+        ("CELL_TREE_WORDS", (size_of::<state::CellTrees>() / 4) as f64),
         // What one addition makes at most.
         ("LARGEST", lessons::fixed(f32::MAX, 1.0) as f64),
         ("OCTANT_DRAWS", f64::from(OCTANT_DRAWS)),
@@ -609,7 +615,7 @@ fn names_of_learning() -> BTreeSet<String> {
         MODULES.iter().filter(|(name, _)| name.starts_with("guiding/") || *name == "transport/guide");
     let functions = modules.flat_map(|(_, text)| text.lines().filter_map(|line| line.strip_prefix("fn ")));
     let identifier = |text: &str| text.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect();
-    let buffers = ["guide", "guide_rows", "lessons", "transitions"];
+    let buffers = ["guide", "guide_rows", "guide_state", "guide_trees", "lessons", "transitions"];
     functions.map(identifier).chain(buffers.map(String::from)).collect()
 }
 
@@ -627,7 +633,7 @@ fn without_guiding_nothing_of_it_is_linked() {
                 let foreign: Vec<_> =
                     types.filter(|t| ["Trail", "Transition", "GuideUniforms"].contains(t)).collect();
                 assert!(foreign.is_empty(), "{name}: {kernel} holds {foreign:?} with guiding off");
-                assert!(!kernel.starts_with("learn"));
+                assert!(!kernel.starts_with("learn") && !kernel.starts_with("commit"));
             }
         }
     }
@@ -636,7 +642,7 @@ fn without_guiding_nothing_of_it_is_linked() {
     let all: BTreeSet<String> = kernels().flat_map(|(_, wgsl)| names(&wgsl)).collect();
     let missing: Vec<_> = learnt.difference(&all).collect();
     assert!(missing.is_empty(), "nowhere even with guiding on: {missing:?}");
-    assert!(kernels().any(|(kernel, _)| kernel.starts_with("learn")));
+    assert!(["learn", "commit"].iter().all(|name| kernels().any(|(kernel, _)| kernel.starts_with(name))));
 }
 
 /// Without splitting nothing of it is in a kernel: no function, no number, no struct. Passes of `auto` that do without the
@@ -802,14 +808,15 @@ fn buffers_exist_for_what_the_scene_needs_and_nothing_else() {
 
     // What learns is a table, its sums and, where hits have queues, a queue of transitions; rays then remember more.
     let (have, capacity) = buffers(&scene("cornell-box"), Schedule::Compacted, true);
-    for name in ["guide", "guide_rows", "lessons", "transitions"] {
+    for name in ["guide", "guide_rows", "guide_state", "guide_trees", "lessons", "transitions"] {
         assert!(!have.contains_key(name), "{name} with guiding off: {have:?}");
     }
     for schedule in SCHEDULES {
         let mut options = qtracer::RenderOptions { pool: Some(512), ..small(32, 32, 1) };
         options.guide.mode = GuideMode::Octant;
         let have = render(&scene("cornell-box"), Engine::Wavefront(schedule), &options, 1).stats.buffers;
-        assert!(["guide", "guide_rows", "lessons"].iter().all(|name| have.contains_key(*name)), "{have:?}");
+        let learnt = ["guide", "guide_rows", "guide_state", "guide_trees", "lessons"];
+        assert!(learnt.iter().all(|name| have.contains_key(*name)), "{have:?}");
         assert_eq!((have["rays_a"], have["rays_b"]), (64 * capacity, 64 * capacity));
         let queue = (schedule != Schedule::Fused).then_some(16 * capacity);
         assert_eq!(have.get("transitions").copied(), queue, "{schedule:?}");

@@ -1,6 +1,7 @@
 //! Queue laws on the GPU itself: single kernels on queues made by hand, read back, and whole levels of real renders. What is
 //! pushed is there exactly once, what is not is not, and what does not fit is reported.
 
+mod committing;
 mod compaction;
 mod hits;
 mod learning;
