@@ -12,10 +12,16 @@ use crate::scene::compiled::{CompiledScene, Uniforms};
 /// Samples that an estimate of a pixel's luminance should rest on, its neighbours' included.
 const ESTIMATE_SAMPLES: f64 = 512.0;
 
-/// What samples count, of what their noise says, once the guide is given up where samples are stratified. These converge faster
-/// than independent ones, so the few from before would else be most of the error: furnace-closed-90 came to 0.46 of plain
-/// tracing's efficiency at a second.
+/// What samples from before the guide was given up count at least, of what their noise says, where samples are stratified. Later
+/// ones converge faster than independent ones, so the few from before would else be most of the error: furnace-closed-90 came to
+/// 0.46 of plain tracing's efficiency at a second.
 const FADED: f64 = 0.125;
+
+/// What they count when `later` samples have followed `earlier` ones. By numbers alone, so that it does not depend on any noise,
+/// and slowly: a few later samples are no whole strata yet.
+fn faded(earlier: u32, later: u32) -> f64 {
+    (f64::from(earlier) / f64::from(later.max(1))).sqrt().clamp(FADED, 1.0)
+}
 
 /// What a guided render keeps besides the film.
 pub struct Guided {
@@ -52,6 +58,7 @@ impl Guided {
             }
             _ => options.guide,
         };
+        let guide = GuideOptions { memory: guide.memory.min(engine.largest_guide()), ..guide };
         let mut learner = pilot(guide, options.guide_table.as_deref(), scene, uniforms)?;
         learner.set_scene(scene.light_fingerprint());
         let mut planner = Planner::new(options, estimators, engine.kind(), scene.tests_per_ray());
@@ -102,9 +109,6 @@ impl Guided {
         }
         self.planner.judge(&self.pass, self.combined.variance(), rays_per_path);
         self.pass = self.planner.next(samples);
-        if self.stratified && self.pass.gives_up() {
-            self.combined.fade(FADED);
-        }
         self.spent = (samples, rays);
         engine.set_pass(&self.pass)?;
         if self.pass.strategy.informed {
@@ -119,7 +123,14 @@ impl Guided {
     /// `image` made of all passes by their weights.
     pub fn combine(&self, film: &Film, image: Image) -> Image {
         let estimates = rough_luminances(film, ESTIMATE_SAMPLES);
-        self.combined.put_into(image, film, &estimates, self.pass.trial)
+        let mut combined = self.combined.clone();
+        if self.stratified && self.pass.gives_up() {
+            let earlier = self.spent.0;
+            let later =
+                film.pixels().first().map_or(0, |pixel| pixel.count).saturating_sub(u64::from(earlier));
+            combined.fade(faded(earlier, later.try_into().unwrap_or(u32::MAX)));
+        }
+        combined.put_into(image, film, &estimates, self.pass.trial)
     }
 
     /// What was learnt so far.

@@ -69,6 +69,11 @@ pub trait Engine: Send {
     /// Traces paths as this pass asks from now on.
     fn set_pass(&mut self, pass: &Pass) -> Result<(), RenderError>;
 
+    /// Bytes that a guide may take, whatever is allowed.
+    fn largest_guide(&self) -> u64 {
+        u64::MAX
+    }
+
     /// Puts a table in place: from now on it guides paths, and what they teach is added up from zero.
     fn set_guide(&mut self, update: GuideUpdate) -> Result<(), RenderError>;
 

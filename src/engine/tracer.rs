@@ -58,6 +58,12 @@ impl<T: Tracer> Engine for T {
         Ok(())
     }
 
+    /// Half of what a binding holds, since tables grow from pass to pass and are only then found to be too large.
+    fn largest_guide(&self) -> u64 {
+        let summary = &self.gpu().gpu.summary;
+        summary.max_binding.min(summary.max_buffer) / 2
+    }
+
     fn set_guide(&mut self, update: GuideUpdate) -> Result<(), RenderError> {
         if self.gpu_mut().set_guide(&update)? {
             self.unbind();

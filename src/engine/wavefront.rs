@@ -272,11 +272,19 @@ impl Tracer for WavefrontEngine {
             if cancel.is_cancelled() {
                 return Ok(false);
             }
-            let grain = levels_a_visit(self.schedule, self.grain, &self.lengths);
+            let mut grain = levels_a_visit(self.schedule, self.grain, &self.lengths);
+            while self.grain.is_none() && grain > 1 && self.rays(grain) > self.pacer.amount() {
+                grain /= 2;
+            }
             let count = self.levels_to_submit(batch, level, &counters, grain);
             self.gpu.write_uniforms(&Uniforms { grain, ..uniforms });
             let (status, seconds) = self.submit_levels(level, count, film)?;
-            self.pacer.observe(u64::from(count) * self.rays(grain), seconds);
+            let full = u64::from(count) * self.rays(grain);
+            let traced = status[Counter::Rays as usize] - counters[Counter::Rays as usize];
+            // Levels that were nearly empty say nothing of full ones, unless even they took too long.
+            if 2 * u64::from(traced) >= full || seconds > Pacer::TARGET {
+                self.pacer.observe(full, seconds);
+            }
             level += count;
             counters = status;
             self.check_overflow(&counters)?;

@@ -97,13 +97,12 @@ impl CombinedFilm {
     }
 
     /// `image` with the mean of all passes, the one on its way included, and its standard error.
-    pub fn put_into(&self, image: Image, film: &Film, estimates: &[f32], trial: bool) -> Image {
-        let mut all = self.clone();
+    pub fn put_into(mut self, image: Image, film: &Film, estimates: &[f32], trial: bool) -> Image {
         if self.has_news(film) {
-            all.end_pass(film, estimates, trial);
+            self.end_pass(film, estimates, trial);
         }
         let map = |value: fn(&CombinedPixel) -> [f64; 3]| -> Vec<[f32; 3]> {
-            all.pixels.par_iter().with_min_len(1 << 12).map(|p| value(p).map(|v| v as f32)).collect()
+            self.pixels.par_iter().with_min_len(1 << 12).map(|p| value(p).map(|v| v as f32)).collect()
         };
         Image {
             rgb: map(CombinedPixel::combined_mean),

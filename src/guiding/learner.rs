@@ -148,7 +148,7 @@ impl Learner {
     pub fn make_cells(&mut self, missing: &[u32]) -> bool {
         let before = self.cells();
         for (word, &missed) in missing.iter().enumerate() {
-            if missed != 0 && self.index[word] == NO_CELL {
+            if missed != 0 && self.index[word] == NO_CELL && self.cells() < MOST_CELLS_IN_ALL {
                 self.state.push(word as u32, CellState::default(), 0, &[], &[]);
                 self.enter_cell(word as u32, 0);
             }

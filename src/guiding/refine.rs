@@ -29,7 +29,7 @@ impl Learner {
     /// Grows and prunes the trees of cells that were met; whether any changed its shape.
     fn refine_trees(&mut self, met: &[[f32; 8]]) -> bool {
         let depth = self.options.depth;
-        // A level at most is added to each tree in a pass, so numbers of nodes stay within their 24 bits.
+        // A level at most is added to each tree in a pass, so there are never more than MOST_NODES.
         if depth == 0 || self.nodes() >= MOST_NODES / 4 || self.bytes() > self.options.memory {
             return false;
         }

@@ -62,13 +62,18 @@ pub(super) fn lay_out(cell: &KnownCell, size: CellSize, node_slot: u32, words: &
     let (tickets, map) = words.split_at_mut(1 << size.log_tickets);
     let mut map = Map { words: map, blocks: OCTANTS };
     let leaves = leaves(cell);
-    let total: f64 = leaves.iter().map(|leaf| f64::from(leaf.energy)).sum();
+    let energy: f64 = leaves.iter().map(|leaf| f64::from(leaf.energy)).sum();
+    // Whatever is known, all tickets are given, so that their densities are those with which directions are drawn: to the
+    // leaves' areas where nothing is.
+    let weight = |leaf: &Leaf| match energy > 0.0 {
+        true => f64::from(leaf.energy) / energy,
+        false => 0.125 * 0.25f64.powi(leaf.depth as i32),
+    };
     let (mut sum, mut drawn) = (0.0, 0);
     for leaf in &leaves {
         // Sums are rounded, so no leaf is more than a ticket off, and shares do not drift.
-        sum += f64::from(leaf.energy);
-        let end = if total > 0.0 { (tickets.len() as f64 * (sum / total) + 0.5) as usize } else { 0 };
-        let end = end.clamp(drawn, tickets.len());
+        sum += weight(leaf);
+        let end = ((tickets.len() as f64 * sum + 0.5) as usize).clamp(drawn, tickets.len());
         let count = (end - drawn) as u32;
         tickets[drawn..end].fill(ticket(count, leaf.depth, leaf.square, leaf.octant));
         map.draw(leaf, map_word(count, leaf.depth, leaf.number));
