@@ -1,5 +1,5 @@
 //! The commit: sums of a pass → what is known; without quadtrees, also how that lies in the table. Tickets are shares of all
-//! that their cell knows, so each commit changes them all: the learner lays them out ([`super::layout`]). This is the CPU
+//! that their cell knows, so each commit changes them all: the learner lays them out (`guiding/layout.rs`). This is the CPU
 //! engine's; GPU twin: kernels/guiding/commit.wesl, which does the same operations on f32.
 //!
 //! How exact it is: a 64-bit sum becomes an f32 with a relative error of 1.2·10⁻⁷ at most (each word is rounded, and their
