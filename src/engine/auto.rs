@@ -3,7 +3,7 @@
 use super::{EngineKind, RenderOptions};
 use crate::gpu::key::KernelKey;
 use crate::gpu::stage::Schedule;
-use crate::scene::compiled::CompiledScene;
+use crate::scene::compiled::{CompiledScene, KIND_ROUGH_DIELECTRIC};
 
 /// Shape tests per level from which on the wavefront is faster: by then its queues' traffic hides behind them, and the
 /// megakernel loses more to invocations that wait for each other.
@@ -12,8 +12,9 @@ const MANY_TESTS: usize = 64;
 const MANY_KINDS: usize = 3;
 
 /// The engine that is faster for this scene: the megakernel up to 63 shape tests a level (0.98 to 5.8 times as fast as
-/// the fused schedule on the shipped scenes, but 0.88 on rough-glass), beyond that the wavefront (door-ajar 1.17, glass-shelf 1.05,
-/// many-lights 1.30, interior 1.29, the chess model 1.33, still-life 1.50 times as fast; surfaces 0.99). docs/PERFORMANCE.md.
+/// the fused schedule on the shipped scenes), beyond that the wavefront (door-ajar 1.17, glass-shelf 1.05, many-lights 1.30,
+/// interior 1.29, the chess model 1.33, still-life 1.50 times as fast; surfaces 0.99). Rough glass, whose shading takes longer than
+/// what its neighbours do, always goes to the wavefront (rough-glass 1.13, by that scene alone). docs/PERFORMANCE.md.
 ///
 /// Options that only the wavefront knows imply it.
 pub fn preferred_engine(scene: &CompiledScene, key: &KernelKey, options: &RenderOptions) -> EngineKind {
@@ -21,7 +22,8 @@ pub fn preferred_engine(scene: &CompiledScene, key: &KernelKey, options: &Render
         return EngineKind::Wavefront;
     }
     let tests = scene.tests_per_ray() * if key.direct_light { 2 } else { 1 };
-    if tests < MANY_TESTS { EngineKind::Megakernel } else { EngineKind::Wavefront }
+    let uneven = key.kinds[KIND_ROUGH_DIELECTRIC as usize];
+    if tests < MANY_TESTS && !uneven { EngineKind::Megakernel } else { EngineKind::Wavefront }
 }
 
 /// The schedule for which the caller did not ask: `Streamed` for meshes of several materials, where the fused kernel waits for
@@ -62,6 +64,23 @@ mod tests {
         change(&mut options);
         let key = KernelKey::new(&CompiledScene::new(&scene), &options.estimators(&scene));
         preferred_schedule(&key, &options)
+    }
+
+    #[test]
+    fn few_shapes_go_to_the_megakernel_but_for_rough_glass() {
+        let engine = |file: &str| {
+            let path = format!("{}/scenes/{file}", env!("CARGO_MANIFEST_DIR"));
+            let scene = Scene::load(path).expect("a shipped scene loads");
+            let (options, compiled) = (RenderOptions::default(), CompiledScene::new(&scene));
+            let key = KernelKey::new(&compiled, &options.estimators(&scene));
+            preferred_engine(&compiled, &key, &options)
+        };
+        for file in ["cornell-box.toml", "bansal-room-5.toml", "metal-spheres.toml", "open-sky.toml"] {
+            assert_eq!(engine(file), EngineKind::Megakernel, "{file}");
+        }
+        for file in ["rough-glass.toml", "door-ajar.toml", "many-lights.toml", "still-life.toml"] {
+            assert_eq!(engine(file), EngineKind::Wavefront, "{file}");
+        }
     }
 
     #[test]
