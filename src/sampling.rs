@@ -4,6 +4,9 @@ use glam::{Vec2, Vec3};
 use std::f32::consts::{FRAC_1_PI, PI};
 use std::ops::Range;
 
+/// The largest number below 1.
+pub const BELOW_ONE: f32 = 1.0 - f32::EPSILON / 2.0;
+
 /// Direction about +z with density cosθ/π, in sr⁻¹. `u` in [0, 1)².
 #[inline]
 pub fn sample_cosine(u: Vec2) -> Vec3 {

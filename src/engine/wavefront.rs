@@ -273,6 +273,7 @@ impl Tracer for WavefrontEngine {
                 return Ok(false);
             }
             let mut grain = levels_a_visit(self.schedule, self.grain, &self.lengths);
+            // A level is submitted whole, so it is the levels of a visit that must not be too many.
             while self.grain.is_none() && grain > 1 && self.rays(grain) > self.pacer.amount() {
                 grain /= 2;
             }
@@ -280,7 +281,7 @@ impl Tracer for WavefrontEngine {
             self.gpu.write_uniforms(&Uniforms { grain, ..uniforms });
             let (status, seconds) = self.submit_levels(level, count, film)?;
             let full = u64::from(count) * self.rays(grain);
-            let traced = status[Counter::Rays as usize] - counters[Counter::Rays as usize];
+            let traced = status[Counter::Rays as usize].saturating_sub(counters[Counter::Rays as usize]);
             // Levels that were nearly empty say nothing of full ones, unless even they took too long.
             if 2 * u64::from(traced) >= full || seconds > Pacer::TARGET {
                 self.pacer.observe(full, seconds);

@@ -27,7 +27,7 @@ const MET_BYTES: u64 = 32;
 /// Fixed-point units per unit of radiance, as a power of two below the brightest emitter.
 const UNIT_BITS: i32 = 36;
 
-/// Quadtree nodes and cells that a table can number.
+/// Quadtree nodes that are learnt about at most, and cells that a row of the index can number.
 pub(super) const MOST_NODES: usize = 1 << 24;
 pub(super) const MOST_CELLS_IN_ALL: usize = 1 << CELL_BITS;
 

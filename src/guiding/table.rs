@@ -4,6 +4,7 @@
 use super::octant::{Draws, octant_of, octant_share, pdf_in_octant, sample_in_octant};
 use super::quadtree::{find_leaf, leaf_density, leaf_number, octant_coordinates, ticket_direction};
 use crate::gpu_struct;
+use crate::sampling::BELOW_ONE;
 use glam::{Vec2, Vec3, Vec4};
 use std::f32::consts::FRAC_1_PI;
 
@@ -292,7 +293,7 @@ fn choose_octant(weights: &[f32; 8], total: f32, choice: f32) -> (u32, f32) {
         }
         sum += w;
     }
-    (octant, ((target - below) / weight).clamp(0.0, 0.999_999_94))
+    (octant, ((target - below) / weight).clamp(0.0, BELOW_ONE))
 }
 
 /// Bansal's redraw rule: cosine directions, drawn again until one lies in an octant whose Q is above a share of the

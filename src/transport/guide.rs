@@ -8,7 +8,7 @@ use crate::guiding::octant::{Draws, octant_of, octant_shares};
 use crate::guiding::table::{Cell, CellPlace, GuidedDensity, NO_CELL, adaptive, bansal, octants};
 use crate::guiding::{GuideMode, GuideTable, LessonSums, Transition};
 use crate::math::{luminance, to_world};
-use crate::sampling::{pdf_cosine, sample_cosine};
+use crate::sampling::{BELOW_ONE, pdf_cosine, sample_cosine};
 use crate::scene::compiled::Material;
 use crate::scene::shapes::Surface;
 use glam::{Vec2, Vec3, Vec4, Vec4Swizzles};
@@ -214,7 +214,6 @@ fn own_direction(mode: GuideMode, point: &GuidePoint, normal: Vec3, u: Vec2) -> 
     };
     to_world(sample_cosine(Vec2::new(x, u.y)), normal)
 }
-const BELOW_ONE: f32 = 1.0 - f32::EPSILON / 2.0;
 
 /// Bansal's rule.
 #[inline]

@@ -5,6 +5,7 @@
 //! known any more. Weights of multiple importance sampling are right whatever they are made of, if both sides make them of the
 //! same: so they are made of [`Importance::anywhere`], and only the choice itself of [`Importance::facing`].
 
+use crate::sampling::BELOW_ONE;
 use crate::scene::compiled::{CompiledScene, NONE};
 use crate::scene::light_tree::{COUNT_SHIFT, LIGHT, LightCluster, MOST_CLUSTERS};
 use glam::{Vec2, Vec3};
@@ -21,8 +22,6 @@ const EVEN_SHARE: f32 = 1.0 / 128.0;
 const LEAST_IMPORTANCE: f32 = 1e-36;
 /// Squares of distances that stand for zero: no quotient by it overflows.
 const SMALLEST_DISTANCE_SQUARE: f32 = 1e-30;
-/// The largest number below 1.
-const BELOW_ONE: f32 = 1.0 - f32::EPSILON / 2.0;
 /// Intervals narrower than this stand for none: no quotient by their width overflows.
 const NARROWEST: f32 = 1e-20;
 /// Distance between the numbers that may be drawn; and from which distance on the tree fills them up from a second one.

@@ -444,6 +444,7 @@ fn constants_shared_with_the_kernels_are_equal() {
         ("KIND_ROUGH_DIELECTRIC", f64::from(compiled::KIND_ROUGH_DIELECTRIC)),
         ("LEAST_ALPHA", f64::from(compiled::LEAST_ALPHA)),
         ("NONE", f64::from(compiled::NONE)),
+        ("BELOW_ONE", f64::from(qtracer::sampling::BELOW_ONE)),
         ("ROULETTE_FROM_BOUNCE", f64::from(ROULETTE_FROM_BOUNCE)),
         ("RELATIVE_OFFSET", f64::from(RELATIVE_OFFSET)),
         ("SHADOW_END", f64::from(SHADOW_END)),
