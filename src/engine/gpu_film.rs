@@ -15,6 +15,7 @@ use crate::gpu::stage::{GRID_WIDTH, Schedule, Stage, WORKGROUP};
 use crate::scene::compiled::{CompiledScene, Uniforms};
 use crate::scene::rows;
 use crate::transport::roulette::Roulette;
+use rayon::prelude::*;
 use std::collections::HashMap;
 use std::time::Instant;
 use wgpu::BufferUsages;
@@ -66,19 +67,27 @@ impl Keys {
     }
 }
 
-/// The kernels of the stages that `key` needs.
-fn compile_stages(
+/// The kernels that each key needs, compiled side by side: drivers take 0.1 s and more for some, and a guide that is only tried
+/// needs three sets.
+fn compile_all(
     gpu: &Gpu,
-    key: &KernelKey,
-    stages: &[Stage],
+    keys: &[KernelKey],
+    stages: impl Fn(&KernelKey) -> Vec<Stage>,
     schedule: Schedule,
-) -> Result<HashMap<Stage, Kernel>, RenderError> {
-    let mut kernels = HashMap::new();
-    for &stage in stages {
-        let wgsl = link(stage, key, schedule).map_err(GpuError::from)?;
-        kernels.insert(stage, gpu.kernel(&stage.name(), &wgsl)?);
+) -> Result<Vec<(KernelKey, HashMap<Stage, Kernel>)>, RenderError> {
+    let of = |set: usize| stages(&keys[set]).into_iter().map(move |stage| (set, stage));
+    let wanted: Vec<(usize, Stage)> = (0..keys.len()).flat_map(of).collect();
+    let compile = |(set, stage): (usize, Stage)| {
+        let wgsl = link(stage, &keys[set], schedule).map_err(GpuError::from)?;
+        Ok((set, stage, gpu.kernel(&stage.name(), &wgsl)?))
+    };
+    let kernels: Vec<_> = wanted.into_par_iter().map(compile).collect::<Result<_, RenderError>>()?;
+    let mut sets: Vec<(KernelKey, HashMap<Stage, Kernel>)> =
+        keys.iter().map(|&key| (key, HashMap::new())).collect();
+    for (set, stage, kernel) in kernels {
+        sets[set].1.insert(stage, kernel);
     }
-    Ok(kernels)
+    Ok(sets)
 }
 
 /// The GPU's own clock around each submission, where it has one.
@@ -97,11 +106,10 @@ impl GpuFilm {
         schedule: Schedule,
         engine: &str,
     ) -> Result<GpuFilm, RenderError> {
-        let compile = |key: &KernelKey| compile_stages(&gpu, key, &stages(key), schedule);
-        let key = keys.own;
-        let kernels = compile(&key)?;
-        let others = key.teaches.then(|| key.frozen()).into_iter().chain(keys.plain);
-        let spares = others.map(|key| Ok((key, compile(&key)?))).collect::<Result<_, RenderError>>()?;
+        let frozen = keys.own.teaches.then(|| keys.own.frozen());
+        let all: Vec<KernelKey> = [keys.own].into_iter().chain(frozen).chain(keys.plain).collect();
+        let mut spares = compile_all(&gpu, &all, &stages, schedule)?;
+        let (key, kernels) = spares.remove(0);
         let pixels = u64::from(uniforms.width) * u64::from(uniforms.height);
         let batch = match (gpu.summary.software, gpu.summary.integrated) {
             (true, _) => BATCH_PATHS_SOFTWARE,

@@ -12,15 +12,12 @@ use crate::scene::compiled::{CompiledScene, Uniforms};
 /// Samples that an estimate of a pixel's luminance should rest on, its neighbours' included.
 const ESTIMATE_SAMPLES: f64 = 512.0;
 
-/// What samples from before the guide was given up count at least, of what their noise says, where samples are stratified. Later
-/// ones converge faster than independent ones, so the few from before would else be most of the error: furnace-closed-90 came to
-/// 0.46 of plain tracing's efficiency at a second.
-const FADED: f64 = 0.125;
-
-/// What they count when `later` samples have followed `earlier` ones. By numbers alone, so that it does not depend on any noise,
-/// and slowly: a few later samples are no whole strata yet.
+/// What `earlier` samples, from before the guide was given up, count of what their noise says when `later` ones have followed, where
+/// samples are stratified. Later ones converge faster than independent ones, so the few from before would be more of the error
+/// than it says: as if by a quarter of a power. By numbers alone, so that it does not depend on any noise, and slowly: a few later
+/// samples are no whole strata yet.
 fn faded(earlier: u32, later: u32) -> f64 {
-    (f64::from(earlier) / f64::from(later.max(1))).sqrt().clamp(FADED, 1.0)
+    (f64::from(earlier) / f64::from(later.max(1))).sqrt().sqrt().min(1.0)
 }
 
 /// What a guided render keeps besides the film.
@@ -61,7 +58,7 @@ impl Guided {
         let guide = GuideOptions { memory: guide.memory.min(engine.largest_guide()), ..guide };
         let mut learner = pilot(guide, options.guide_table.as_deref(), scene, uniforms)?;
         learner.set_scene(scene.light_fingerprint());
-        let mut planner = Planner::new(options, estimators, engine.kind(), scene.tests_per_ray());
+        let planner = Planner::new(options, estimators, engine.kind(), scene.tests_per_ray());
         let pass = planner.first();
         let pixels = uniforms.width * uniforms.height;
         engine.set_pass(&pass)?;
@@ -100,7 +97,7 @@ impl Guided {
             engine.begin_commit();
         }
         let estimates = rough_luminances(film, ESTIMATE_SAMPLES);
-        self.combined.end_pass(film, &estimates, self.pass.trial);
+        self.combined.judge(film, &estimates);
         let rays = engine.stats().rays;
         let taken = samples - self.spent.0;
         let rays_per_path = (rays - self.spent.1) as f64 / (f64::from(taken) * self.pixels);
@@ -108,7 +105,12 @@ impl Guided {
             self.stale = self.stale.max(self.learner.take_in(engine.commit()?, taken));
         }
         self.planner.judge(&self.pass, self.combined.variance(), rays_per_path);
-        self.pass = self.planner.next(samples);
+        let next = self.planner.next(samples);
+        // Plain tracing that goes on is one pass: all its samples are alike.
+        if next.strategy != self.pass.strategy || self.pass.teaches() {
+            self.combined.add_pass(film);
+        }
+        self.pass = next;
         self.spent = (samples, rays);
         engine.set_pass(&self.pass)?;
         if self.pass.strategy.informed {
@@ -130,7 +132,7 @@ impl Guided {
                 film.pixels().first().map_or(0, |pixel| pixel.count).saturating_sub(u64::from(earlier));
             combined.fade(faded(earlier, later.try_into().unwrap_or(u32::MAX)));
         }
-        combined.put_into(image, film, &estimates, self.pass.trial)
+        combined.put_into(image, film, &estimates)
     }
 
     /// What was learnt so far.

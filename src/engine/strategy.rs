@@ -1,5 +1,5 @@
-//! Which way of tracing pays: a guide costs time per ray, and roulette trades rays for noise. Trials of a few samples tell,
-//! by noise × cost, and every one of them is part of the image.
+//! Which way of tracing pays: a guide costs time per ray, and roulette trades rays for noise. The first samples, which do
+//! without, and the passes that learn tell, by noise × cost, and all of them are part of the image.
 //!
 //! Cost is counted in rays, not in seconds, so that the same seed always decides alike.
 
@@ -26,12 +26,10 @@ pub struct Pass {
     pub end: u32,
     /// Whether it teaches.
     pub learning: bool,
-    /// Whether it only tries a strategy.
-    pub trial: bool,
 }
 
 impl Pass {
-    /// Whether it is the last and does without the table: trials spoke against it.
+    /// Whether it is the last and does without the table, which did not pay.
     pub fn gives_up(&self) -> bool {
         self.end == u32::MAX && !self.strategy.informed
     }
@@ -42,22 +40,19 @@ impl Pass {
     }
 }
 
-/// Samples per pixel of the first pass.
-const FIRST_PASS: u32 = 2;
-/// Trials after so many samples per pixel, and samples of each. The first is before roulette goes by what was learnt, and
-/// asks only whether the scene is smooth; a guide that is far off at the second is given up there.
-const TRIALS: [(u32, u32); 3] = [(64, 8), (128, 8), (256, 16)];
-/// At the second trial: how many times worse than plain tracing a guide may be to be given the third.
-const HOPELESS: f64 = 1.25;
-/// … and how much better it must be to be spared it.
-const CLEARLY_BETTER: f64 = 0.5;
+/// Samples per pixel of the first pass that learns. One of 2 before it made tables no better (docs/GUIDING.md).
+const FIRST_PASS: u32 = 4;
+/// Samples per pixel without the table, before it is tried: what it must be better than.
+const PRELUDE: u32 = 16;
+/// After so many samples per pixel the last pass is compared with the prelude: how many times worse it may be to go on. At
+/// the first, one pass has gone by what was learnt in roulette, too, and tables are still to get better.
+const CHECKS: [(u32, f64); 2] = [(128, 1.25), (256, 1.0)];
 /// Relative variance of a plain sample below which a guide is not worth its while where samples are stratified: they then
 /// converge faster than their variance tells, and a guide's choices break the strata up. Measured: cornell-box, whose
-/// variance is 1.8, is 1.7 times as efficient without; bansal-room-5, with 5.6, 1.15 times as efficient with a guide.
-const SMOOTH: f64 = 3.0;
+/// variance is 0.65, is 1.7 times as efficient without; many-lights, with 1.2, is not given up by this.
+const SMOOTH: f64 = 1.0;
 /// Mean rays of a plain path below which it is not worth its while there, either: little light comes by way of other surfaces, and
-/// what noise there is strata take away. Measured: surfaces, 2.2 rays, is 2 times as efficient without, although its guided
-/// samples vary half as much.
+/// what noise there is strata take away.
 const SHORT: f64 = 2.5;
 /// How many times more a guided sample's variance counts where samples are stratified, for the same reason: what it loses by
 /// breaking strata up. Measured: on bansal-room-5 (H100, 4 s) variance and cost promise 1.5 times the efficiency of plain
@@ -107,11 +102,10 @@ pub fn plain_strategy(options: &RenderOptions, estimators: Estimators) -> Option
 #[derive(Clone, Debug)]
 pub struct Planner {
     informed: Judged,
-    /// None once it is out of question.
+    /// None if it is out of question.
     plain: Option<Judged>,
-    /// The next trial, or the one going on.
-    round: usize,
-    trying: bool,
+    /// The next of [`CHECKS`].
+    check: usize,
     learning_samples: u32,
     stratified: bool,
     costs: CostModel,
@@ -144,18 +138,20 @@ impl Planner {
         Planner {
             informed: Judged::new(Strategy { informed: true, roulette, roulette_scale }),
             plain: plain_strategy(options, estimators).map(Judged::new),
-            round: 0,
-            trying: false,
+            check: 0,
             learning_samples: options.guide.learning_samples,
             stratified: estimators.sampler == Sampler::Stratified,
             costs: CostModel::new(engine, tests),
         }
     }
 
-    /// The first pass. Even without a lesson there is something to be found out: the estimates of the pixels.
-    pub fn first(&mut self) -> Pass {
-        let learning = self.learning_samples > 0;
-        Pass { strategy: self.informed.strategy, end: FIRST_PASS, learning, trial: false }
+    /// The first pass: the prelude, if there is a choice. Even without a lesson the informed one has something to find out:
+    /// the estimates of the pixels.
+    pub fn first(&self) -> Pass {
+        match self.plain {
+            Some(plain) => Pass { strategy: plain.strategy, end: PRELUDE, learning: false },
+            None => self.learn_on(0),
+        }
     }
 
     /// Takes in what a pass was worth: the variance of a sample, the rays of a path.
@@ -171,53 +167,46 @@ impl Planner {
 
     /// The pass after `samples` samples per pixel.
     pub fn next(&mut self, samples: u32) -> Pass {
-        if self.trying {
-            self.trying = false;
-            if self.guide_is_given_up() {
-                let strategy = self.plain.map_or(PLAIN, |plain| plain.strategy);
-                return Pass { strategy, end: u32::MAX, learning: false, trial: false };
-            }
-            self.round += 1;
-        }
-        match (self.plain, TRIALS.get(self.round)) {
-            (Some(plain), Some(&(from, count))) if samples >= from => {
-                self.trying = true;
-                Pass { strategy: plain.strategy, end: samples + count, learning: false, trial: true }
-            }
-            _ => self.learn_on(samples),
+        let plain = self.plain;
+        let plain = plain.filter(|plain| self.guide_is_given_up(plain, samples));
+        match plain {
+            Some(plain) => Pass { strategy: plain.strategy, end: u32::MAX, learning: false },
+            None => self.learn_on(samples),
         }
     }
 
-    /// Whether the trial that just ended speaks against the guide. One that speaks clearly for it is the last.
-    fn guide_is_given_up(&mut self) -> bool {
-        let Some(plain) = self.plain else { return false };
-        let ratio = self.informed.noise_cost / plain.noise_cost;
-        if self.stratified && (plain.variance < SMOOTH || plain.rays < SHORT) {
-            return true;
+    /// Whether what is known after so many samples speaks against the guide.
+    fn guide_is_given_up(&mut self, plain: &Judged, samples: u32) -> bool {
+        if samples <= PRELUDE {
+            return self.stratified && (plain.variance < SMOOTH || plain.rays < SHORT);
         }
-        if self.round == 0 {
-            return false;
+        match CHECKS.get(self.check) {
+            Some(&(at, worse)) if samples >= at => {
+                self.check += 1;
+                self.informed.noise_cost > worse * plain.noise_cost
+            }
+            _ => false,
         }
-        let last = self.round + 1 == TRIALS.len();
-        if !last && ratio <= CLEARLY_BETTER {
-            self.plain = None;
-        }
-        ratio > if last { 1.0 } else { HOPELESS }
     }
 
-    /// Passes of doubling size while learning goes on, then one without end.
+    /// Passes that learn, then one without end.
     fn learn_on(&self, samples: u32) -> Pass {
-        let learning = samples < self.learning_samples;
-        let doubled = samples.saturating_add(1).checked_next_power_of_two().unwrap_or(u32::MAX);
-        // A pass that would be short is not worth a lesson.
-        let short = f64::from(doubled) < 1.4 * f64::from(samples);
-        let end = if short { doubled.saturating_mul(2) } else { doubled };
-        let end = if learning { end } else { u32::MAX };
-        // A trial that is to come comes, even if nothing is to be learnt until then.
-        let trial = self.plain.and(TRIALS.get(self.round)).map(|&(from, _)| from);
-        let end = trial.filter(|&from| from > samples).map_or(end, |from| end.min(from));
-        Pass { strategy: self.informed.strategy, end, learning, trial: false }
+        let prelude = if self.plain.is_some() { PRELUDE } else { 0 };
+        let learning = samples - prelude < self.learning_samples;
+        let end = if learning { doubled(samples, prelude) } else { u32::MAX };
+        // What is to be compared ends there, even if nothing is to be learnt until then.
+        let check = self.plain.and(CHECKS.get(self.check)).map_or(u32::MAX, |&(at, _)| at);
+        Pass { strategy: self.informed.strategy, end: end.min(check), learning }
     }
+}
+
+/// Where the pass after `samples` ends: it doubles the samples that taught, and where those are more than the prelude's, all.
+fn doubled(samples: u32, prelude: u32) -> u32 {
+    let taught = samples - prelude;
+    if taught < prelude.max(FIRST_PASS) {
+        return samples + taught.max(FIRST_PASS);
+    }
+    samples.saturating_add(1).checked_next_power_of_two().unwrap_or(u32::MAX)
 }
 
 #[cfg(test)]
@@ -252,51 +241,54 @@ mod tests {
         }
         passes
     }
+    fn ends(passes: &[Pass]) -> Vec<u32> {
+        passes.iter().map(|pass| pass.end).collect()
+    }
 
     #[test]
-    fn without_a_trial_passes_double_until_learning_ends() {
+    fn without_a_choice_passes_double_until_learning_ends() {
         let passes = passes(planner(false, Sampler::Independent), 100.0, 1.0);
-        let ends: Vec<u32> = passes.iter().map(|pass| pass.end).collect();
-        assert_eq!(ends, [2, 4, 8, 16, 32, 64, 128, 256, 512, u32::MAX]);
-        assert!(passes[..9].iter().all(|pass| pass.teaches()) && !passes[9].teaches());
+        assert_eq!(ends(&passes), [4, 8, 16, 32, 64, 128, 256, 512, u32::MAX]);
+        assert!(passes[..8].iter().all(|pass| pass.teaches()) && !passes[8].teaches());
     }
 
     #[test]
     fn a_guide_that_does_not_pay_is_given_up_as_soon_as_it_is_compared() {
         let passes = passes(planner(true, Sampler::Independent), 100.0, 10.0);
-        let [.., trial, last] = passes[..] else { panic!("{passes:?}") };
-        assert_eq!((trial.end, trial.trial, trial.strategy), (136, true, PLAIN));
-        assert_eq!((last.end, last.strategy, last.teaches()), (u32::MAX, PLAIN, false));
+        assert_eq!(ends(&passes), [16, 20, 24, 32, 64, 128, u32::MAX]);
+        assert!((passes[0].strategy, passes[0].teaches()) == (PLAIN, false));
+        assert!(passes[1..6].iter().all(Pass::teaches));
+        assert!((passes[6].strategy, passes[6].teaches()) == (PLAIN, false) && passes[6].gives_up());
     }
 
     #[test]
-    fn a_guide_that_clearly_pays_is_compared_once() {
+    fn a_guide_that_pays_learns_on() {
         let passes = passes(planner(true, Sampler::Independent), 10.0, 100.0);
-        assert_eq!(passes.iter().filter(|pass| pass.trial).count(), 2, "the first asks for smoothness only");
-        assert!(passes.last().unwrap().strategy.informed);
+        assert_eq!(ends(&passes), [16, 20, 24, 32, 64, 128, 256, 512, u32::MAX]);
+        assert!(passes[1..].iter().all(|pass| pass.strategy.informed) && !passes[8].teaches());
     }
 
     #[test]
     fn a_guide_in_doubt_is_compared_twice() {
         // An informed ray costs 1.6 times a plain one here.
-        for (informed, kept) in [(70.0, false), (40.0, true)] {
+        for (informed, last) in [(70.0, 256), (40.0, 512), (90.0, 128)] {
             let passes = passes(planner(true, Sampler::Independent), informed, 100.0);
-            let trials: Vec<u32> = passes.iter().filter(|pass| pass.trial).map(|pass| pass.end).collect();
-            let twice = trials.len() == 3;
-            assert_eq!(passes.last().unwrap().strategy.informed, kept, "{passes:?}");
-            assert!(twice || kept, "{trials:?}");
+            assert_eq!(passes[passes.len() - 2].end, last, "{informed}: {passes:?}");
+            assert_eq!(passes.last().unwrap().strategy.informed, last == 512, "{passes:?}");
         }
     }
 
     /// With a loaded guide there may be nothing to learn; whether it pays is asked all the same.
     #[test]
-    fn trials_come_whatever_is_learnt() {
-        for learning_samples in [0, 32, 128] {
+    fn comparisons_come_whatever_is_learnt() {
+        for (learning_samples, expected) in [
+            (0, vec![16, 128, 256, u32::MAX]),
+            (32, vec![16, 20, 24, 32, 64, 128, 256, u32::MAX]),
+            (128, vec![16, 20, 24, 32, 64, 128, 256, u32::MAX]),
+        ] {
             let mut planner = planner(true, Sampler::Independent);
             planner.learning_samples = learning_samples;
-            let passes = passes(planner, 55.0, 100.0);
-            let trials = passes.iter().filter(|pass| pass.trial).map(|pass| pass.end);
-            assert_eq!(trials.collect::<Vec<_>>(), [72, 136, 272], "{learning_samples}");
+            assert_eq!(ends(&passes(planner, 55.0, 100.0)), expected, "{learning_samples}");
         }
     }
 
@@ -310,18 +302,13 @@ mod tests {
     }
 
     #[test]
-    fn short_paths_need_no_guide_where_samples_are_stratified() {
-        for (sampler, kept) in [(Sampler::Stratified, false), (Sampler::Independent, true)] {
-            let passes = passes_of(planner(true, sampler), 10.0, 100.0, 0.9 * SHORT);
-            assert_eq!(passes.last().unwrap().strategy.informed, kept, "{sampler:?}");
-        }
-    }
-
-    #[test]
-    fn smooth_scenes_need_no_guide_where_samples_are_stratified() {
-        for (sampler, kept) in [(Sampler::Stratified, false), (Sampler::Independent, true)] {
-            let passes = passes(planner(true, sampler), 0.5, 0.9 * SMOOTH);
-            assert_eq!(passes.last().unwrap().strategy.informed, kept, "{sampler:?}");
+    fn smooth_scenes_and_short_paths_need_no_guide_where_samples_are_stratified() {
+        for (plain, rays) in [(100.0, 0.9 * SHORT), (0.9 * SMOOTH, 5.0)] {
+            let given_up = passes_of(planner(true, Sampler::Stratified), 0.1 * plain, plain, rays);
+            assert_eq!(ends(&given_up), [PRELUDE, u32::MAX]);
+            assert!(given_up[1].gives_up());
+            let kept = passes_of(planner(true, Sampler::Independent), 0.1 * plain, plain, rays);
+            assert!(kept.last().unwrap().strategy.informed);
         }
     }
 }

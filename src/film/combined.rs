@@ -11,6 +11,9 @@ const JUDGED_SAMPLES: u64 = 2;
 const LEAST_VARIANCE: f64 = 1e-9;
 /// A relative variance that any real one is below.
 const UNKNOWN: f64 = 1e12;
+/// Luminance, relative to the image's mean, below which errors of pixels are seen as they are instead of relative to the pixel: else
+/// a few pixels that are nearly black would tell how noisy passes are. With its square as ε this is relMSE.
+const DARK: f64 = 0.2;
 
 /// Per pixel: weighted means of passes, cut from a film that only grows.
 #[derive(Clone, Debug, Default)]
@@ -20,7 +23,7 @@ pub struct CombinedFilm {
     before: Vec<PixelSum>,
     /// Variance of a single sample in the last pass, for each colour of the checkerboard.
     variance: [f64; 2],
-    /// The least of those before it, trials not counted: what a sample at least counts by.
+    /// The least of those before it: what a sample at least counts by.
     least: [f64; 2],
 }
 
@@ -48,16 +51,17 @@ impl CombinedFilm {
     /// A pixel's weight is the inverse of the pass's mean relative variance, estimated from the pixels of the other colour
     /// of a checkerboard: those are independent of the pixel's own noise, so the estimate does not bias it. A sample counts
     /// at least as much as one of any earlier pass, since learning makes passes better, and a short pass that missed what
-    /// is rare only seems less noisy. A `trial` of another way of tracing never counts more, and later passes need not
-    /// reach it.
-    pub fn end_pass(&mut self, film: &Film, estimates: &[f32], trial: bool) {
-        let width = film.width() as usize;
+    /// is rare only seems less noisy.
+    pub fn end_pass(&mut self, film: &Film, estimates: &[f32]) {
         self.judge(film, estimates);
+        self.add_pass(film);
+    }
+
+    /// Adds what `film` got since the last pass ended, by the noise that it was judged to have.
+    pub fn add_pass(&mut self, film: &Film) {
+        let width = film.width() as usize;
         let variance = [0, 1].map(|c| self.variance[c].min(self.least[c]));
-        let variance = if trial { [0, 1].map(|c| self.variance[c].max(self.least[c])) } else { variance };
-        if !trial {
-            self.least = variance;
-        }
+        self.least = variance;
         let rows = self.pixels.par_chunks_mut(width).zip(self.before.par_chunks_mut(width));
         rows.zip(film.pixels().par_chunks(width)).enumerate().for_each(|(y, ((pixels, before), now))| {
             for (x, ((pixel, before), now)) in pixels.iter_mut().zip(before).zip(now).enumerate() {
@@ -76,8 +80,8 @@ impl CombinedFilm {
         }
     }
 
-    /// The variance of the pass on its way; that of the last pass stands in while there are too few samples to tell.
-    fn judge(&mut self, film: &Film, estimates: &[f32]) {
+    /// Finds the variance of the pass on its way; that of the last pass stands in while there are too few samples to tell.
+    pub fn judge(&mut self, film: &Film, estimates: &[f32]) {
         let passed = |(now, before): (&PixelSum, &PixelSum)| now.count - before.count;
         if film.pixels().iter().zip(&self.before).next().map_or(0, passed) >= JUDGED_SAMPLES {
             let variance = relative_variance(film.pixels(), &self.before, estimates, film.width() as usize);
@@ -97,9 +101,9 @@ impl CombinedFilm {
     }
 
     /// `image` with the mean of all passes, the one on its way included, and its standard error.
-    pub fn put_into(mut self, image: Image, film: &Film, estimates: &[f32], trial: bool) -> Image {
+    pub fn put_into(mut self, image: Image, film: &Film, estimates: &[f32]) -> Image {
         if self.has_news(film) {
-            self.end_pass(film, estimates, trial);
+            self.end_pass(film, estimates);
         }
         let map = |value: fn(&CombinedPixel) -> [f64; 3]| -> Vec<[f32; 3]> {
             self.pixels.par_iter().with_min_len(1 << 12).map(|p| value(p).map(|v| v as f32)).collect()
@@ -144,9 +148,11 @@ fn colour(x: usize, y: usize) -> usize {
     (x + y) % 2
 }
 
-/// For each colour of a checkerboard the mean over its pixels of (variance of a sample / estimated luminance²).
+/// For each colour of a checkerboard the mean over its pixels of variance of a sample / (estimated luminance² + ε).
 /// Added up row by row, so that it does not depend on the number of threads.
 fn relative_variance(now: &[PixelSum], before: &[PixelSum], estimates: &[f32], width: usize) -> [f64; 2] {
+    let mean = estimates.iter().map(|&estimate| f64::from(estimate)).sum::<f64>() / estimates.len() as f64;
+    let epsilon = (DARK * mean).powi(2);
     let rows = now.par_chunks(width).zip(before.par_chunks(width)).zip(estimates.par_chunks(width));
     let sums: Vec<[[f64; 2]; 2]> = rows
         .enumerate()
@@ -157,7 +163,7 @@ fn relative_variance(now: &[PixelSum], before: &[PixelSum], estimates: &[f32], w
                 if pass.count >= JUDGED_SAMPLES && estimate > 0.0 {
                     let variance: f64 = pass.standard_error().iter().map(|e| e * e).sum();
                     let [sum, count] = &mut sums[colour(x, y)];
-                    *sum += variance * pass.count as f64 / (3.0 * f64::from(estimate).powi(2));
+                    *sum += variance * pass.count as f64 / (3.0 * (f64::from(estimate).powi(2) + epsilon));
                     *count += 1.0;
                 }
             }
@@ -226,7 +232,7 @@ mod tests {
                     pixel.add([value * scatter; 3].into());
                 }
             }
-            combined.end_pass(&film, &[1.0; 2], false);
+            combined.end_pass(&film, &[1.0; 2]);
             if faded_after == Some(i) {
                 combined.fade(0.125);
             }

@@ -104,7 +104,7 @@ impl Default for GuideOptions {
             alpha: None,
             discount: 0.8,
             threshold: 0.75,
-            learning_samples: 511,
+            learning_samples: 480,
             mature_samples: 64,
             memory: 256 << 20,
         }

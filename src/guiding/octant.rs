@@ -3,7 +3,7 @@
 
 use crate::random::{SampleKey, Sampler, dimension_guide, sample4};
 use crate::sampling::sample_cosine;
-use glam::{Vec2, Vec3, Vec4};
+use glam::{Vec2, Vec3, Vec3Swizzles, Vec4};
 use std::f32::consts::{FRAC_1_PI, FRAC_PI_2, FRAC_PI_4};
 
 /// Number of the octant in which `direction` lies: bit 0 for x ≤ 0, bit 1 for y ≤ 0, bit 2 for z ≤ 0 (Bansal 2018).
@@ -25,37 +25,43 @@ fn one_axis_below(a: f32, b: f32, w: f32) -> f32 {
     0.5 * (a * b.atan2(w) + b * a.atan2(w) + w.atan2(a * b) - w * FRAC_PI_2)
 }
 
-/// The share of a cosine lobe about the unit vector `normal` that an octant receives: ∫ max(0, cosθ)/π over it. The
-/// eight shares add up to 1. Closed form: σ·n/4 for an octant that lies above the horizon, Lambert's polygon else.
-pub fn octant_share(normal: Vec3, octant: u32) -> f32 {
-    let s = normal * octant_signs(octant);
-    let (above, below) = (s.max(Vec3::ZERO), (-s).max(Vec3::ZERO));
-    let (sum_above, sum_below) = (above.element_sum(), below.element_sum());
-    if sum_below <= 0.0 {
-        return 0.25 * sum_above;
-    }
-    if sum_above <= 0.0 {
-        return 0.0;
-    }
-    // Of the three axes, one is alone on its side of the horizon.
-    let axes_below = u32::from(s.x < 0.0) + u32::from(s.y < 0.0) + u32::from(s.z < 0.0);
-    let single_below = axes_below == 1;
-    let (alone, others) = if single_below { (below, above) } else { (above, below) };
-    let [a, b, w] = if alone.x > 0.0 {
-        [others.y, others.z, alone.x]
-    } else if alone.y > 0.0 {
-        [others.z, others.x, alone.y]
+/// Least w that [`one_axis_below`] is asked with: at 0, two of its arcs are undefined on GPUs where a or b is 0 as well, though
+/// their sum is not, and this near it is right.
+const LEAST_BELOW: f32 = 1e-30;
+
+/// The shares of a cosine lobe about the unit vector `normal` that the octants receive: ∫ max(0, cosθ)/π over each. They add up
+/// to 1. Closed form: σ·n/4 for the octant that lies above the horizon, Lambert's polygon for those that it cuts.
+pub fn octant_shares(normal: Vec3) -> [f32; 8] {
+    let n = normal.abs();
+    let w = n.max(Vec3::splat(LEAST_BELOW));
+    // Where the normal is an axis nothing is cut; most walls have such normals.
+    let polygons = if n.element_sum() > 1.0 {
+        Vec3::new(one_axis_below(n.y, n.z, w.x), one_axis_below(n.z, n.x, w.y), one_axis_below(n.x, n.y, w.z))
     } else {
-        [others.x, others.y, alone.z]
+        FRAC_PI_4 * (n.element_sum() - n)
     };
+    let one_below = (FRAC_1_PI * polygons).max(Vec3::ZERO);
     // ∫ max(0, s·ω) − ∫ max(0, −s·ω) = ∫ s·ω = (π/4) Σ s: two axes below follow from one axis below.
-    let complement = if single_below { 0.0 } else { FRAC_PI_4 * (sum_above - sum_below) };
-    (FRAC_1_PI * (one_axis_below(a, b, w) + complement)).max(0.0)
+    let one_above = (FRAC_1_PI * polygons + 0.25 * (n - n.yzx() - n.zxy())).max(Vec3::ZERO);
+    let shares = [
+        0.25 * n.element_sum(),
+        one_below.x,
+        one_below.y,
+        one_above.z,
+        one_below.z,
+        one_above.y,
+        one_above.x,
+        0.0,
+    ];
+    // So far for a normal whose components are positive. Each that is not flips a bit of the octants' numbers.
+    let flips = [normal.x, normal.y, normal.z].map(|component| usize::from(component < 0.0));
+    let flipped = flips[0] | flips[1] << 1 | flips[2] << 2;
+    std::array::from_fn(|octant| shares[octant ^ flipped])
 }
 
-/// The shares of all octants.
-pub fn octant_shares(normal: Vec3) -> [f32; 8] {
-    std::array::from_fn(|octant| octant_share(normal, octant as u32))
+/// The share of one octant.
+pub fn octant_share(normal: Vec3, octant: u32) -> f32 {
+    octant_shares(normal)[octant as usize]
 }
 
 /// Where a guided direction's numbers come from: those of one surface of one path.

@@ -1,7 +1,7 @@
 //! The table that guides paths: cells on surfaces, found by position and normal, each with its learnt distribution over
 //! directions. Flat rows of four words, the same on the CPU and on the GPU. GPU twin: kernels/guiding/table.wesl
 
-use super::octant::{Draws, octant_of, octant_share, pdf_in_octant, sample_in_octant};
+use super::octant::{Draws, octant_of, octant_shares, pdf_in_octant, sample_in_octant};
 use super::quadtree::{find_leaf, leaf_density, leaf_number, octant_coordinates, ticket_direction};
 use crate::gpu_struct;
 use crate::sampling::BELOW_ONE;
@@ -318,7 +318,8 @@ pub mod bansal {
     /// them and cosθ/π · (1 − p)⁷ elsewhere.
     pub fn pdf(cell: &Cell, threshold: f32, normal: Vec3, direction: Vec3) -> f32 {
         let accepted = |octant: u32| accepts(cell, threshold, octant);
-        let p: f32 = (0..8).filter(|&a| accepted(a)).map(|a| octant_share(normal, a)).sum::<f32>().min(1.0);
+        let shares = octant_shares(normal);
+        let p = (0..8).filter(|&a| accepted(a)).map(|a| shares[a as usize]).sum::<f32>().min(1.0);
         let cosine = normal.dot(direction).max(0.0) * FRAC_1_PI;
         let rejected = 1.0 - p;
         let (two, four) = (rejected * rejected, rejected * rejected * rejected * rejected);

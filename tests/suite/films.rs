@@ -45,14 +45,14 @@ impl Grown {
         Grown { combined: CombinedFilm::new(&film), film, estimates }
     }
 
-    fn add(&mut self, pass: &Film, trial: bool) {
+    fn add(&mut self, pass: &Film) {
         self.film.merge(pass).unwrap();
-        self.combined.end_pass(&self.film, &self.estimates, trial);
+        self.combined.end_pass(&self.film, &self.estimates);
     }
 
     /// The combined image and its standard error.
     fn image(&self) -> (Vec<[f32; 3]>, Vec<[f32; 3]>) {
-        let image = self.combined.clone().put_into(self.film.image(), &self.film, &self.estimates, false);
+        let image = self.combined.clone().put_into(self.film.image(), &self.film, &self.estimates);
         (image.rgb, image.standard_error.unwrap())
     }
 }
@@ -64,7 +64,7 @@ fn truths() -> Vec<f32> {
 fn combined(trial: u32) -> Grown {
     let mut grown = Grown::new(truths());
     for (number, (samples, rarity)) in (0..).zip(PASSES) {
-        grown.add(&pass(trial, number, samples, rarity), false);
+        grown.add(&pass(trial, number, samples, rarity));
     }
     grown
 }
@@ -121,35 +121,12 @@ fn a_pass_that_saw_nothing_does_not_outweigh_those_that_did() {
     let bright = pass(2, 1, 1000, 0.5);
     for estimates in [truths(), vec![0.0; PIXELS]] {
         let mut grown = Grown::new(estimates);
-        grown.add(&dark, false);
-        grown.add(&bright, false);
+        grown.add(&dark);
+        grown.add(&bright);
         let (mean, error) = grown.image();
         let (mean, error) = mean_and_error(&mean, &error);
         assert!((mean - 1.0).abs() < 0.01 && error < 0.01, "{mean} ± {error}");
     }
-}
-
-/// The standard error of the image after a long pass, a trial, and that pass again.
-fn error_with_a_trial(trial: &Film, is_trial: bool) -> f64 {
-    let mut grown = Grown::new(truths());
-    grown.add(&pass(6, 0, 200, 0.5), false);
-    grown.add(trial, is_trial);
-    grown.add(&pass(7, 1, 200, 0.5), false);
-    let (mean, error) = grown.image();
-    mean_and_error(&mean, &error).1
-}
-
-/// A noisy trial counts little; one that only seems noiseless counts no more than its samples, and does not hold the
-/// passes after it to its standard.
-#[test]
-fn trials_neither_spoil_nor_rule_the_image() {
-    let long = error_with_a_trial(&Film::new(SIDE, SIDE), true);
-    let noisy = error_with_a_trial(&pass(8, 2, 100, 0.01), true);
-    assert!(noisy < 1.1 * long, "{noisy} with a noisy trial, {long} without");
-    // Negative control: as a pass like any other it does spoil the image.
-    assert!(error_with_a_trial(&pass(8, 2, 100, 0.01), false) > 2.0 * long);
-    let quiet = error_with_a_trial(&pass(9, 3, 8, 0.999), true);
-    assert!((0.9..1.1).contains(&(quiet / long)), "{quiet} with a quiet trial, {long} without");
 }
 
 /// A pass on its way that has a single sample a pixel has no known error, and changes nothing; alone, it is the image.
@@ -157,10 +134,10 @@ fn trials_neither_spoil_nor_rule_the_image() {
 fn single_samples_count_where_there_is_nothing_else() {
     let (single, whole) = (pass(3, 0, 1, 0.5), pass(3, 1, 64, 0.5));
     let mut grown = Grown::new(truths());
-    grown.add(&single, false);
+    grown.add(&single);
     assert_eq!(grown.image().0, single.mean());
     let mut grown = Grown::new(truths());
-    grown.add(&whole, false);
+    grown.add(&whole);
     let before = grown.image();
     grown.film.merge(&single).unwrap();
     assert_eq!(grown.image(), before);

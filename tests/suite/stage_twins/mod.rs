@@ -161,8 +161,8 @@ fn stages_answer_as_their_twins_do_when_guided() {
         let guide = GuideOptions { mode, ..Default::default() };
         let learning = RenderOptions { size: Some((32, 32)), seed: 3, guide, ..RenderOptions::cpu() };
         let mut renderer = Renderer::new(&scene(name), learning).unwrap();
-        while renderer.samples() < 63 {
-            renderer.step(63 - renderer.samples()).unwrap();
+        while renderer.samples() < 64 {
+            renderer.step(64 - renderer.samples()).unwrap();
         }
         assert!(renderer.stats().guide.unwrap().passes >= 5, "too little was learnt");
         let guide_table = renderer.learner().cloned().map(Arc::new);
