@@ -27,8 +27,8 @@ pub fn dimension_light(bounce: u32) -> u32 {
     2 + 2 * bounce
 }
 
-/// Numbers for directions guided by octants: choice of the strategy, two for the direction, choice of the octant; further draws
-/// where one is not taken, Bansal's too. Quadtrees need none of their own. Beyond the dimensions of 64 levels.
+/// Numbers for further draws where a guided direction is not taken: in octants that the horizon cuts, by Bansal's rule. Quadtrees
+/// need none of their own. Beyond the dimensions of 64 levels.
 #[inline]
 pub fn dimension_guide(bounce: u32, draw: u32) -> u32 {
     1024 + 16 * bounce + draw

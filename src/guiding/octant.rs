@@ -2,8 +2,8 @@
 //! sampling of that lobe inside one of them. GPU twin: kernels/guiding/octant.wesl
 
 use crate::random::{SampleKey, Sampler, dimension_guide, sample4};
-use crate::sampling::sample_cosine;
-use glam::{Vec2, Vec3, Vec3Swizzles, Vec4};
+use crate::sampling::{BELOW_ONE, sample_cosine};
+use glam::{Vec2, Vec3, Vec3Swizzles, Vec4, Vec4Swizzles};
 use std::f32::consts::{FRAC_1_PI, FRAC_PI_2, FRAC_PI_4};
 
 /// Number of the octant in which `direction` lies: bit 0 for x ≤ 0, bit 1 for y ≤ 0, bit 2 for z ≤ 0 (Bansal 2018).
@@ -25,15 +25,15 @@ fn one_axis_below(a: f32, b: f32, w: f32) -> f32 {
     0.5 * (a * b.atan2(w) + b * a.atan2(w) + w.atan2(a * b) - w * FRAC_PI_2)
 }
 
-/// Least w that [`one_axis_below`] is asked with: at 0, two of its arcs are undefined on GPUs where a or b is 0 as well, though
-/// their sum is not, and this near it is right.
-const LEAST_BELOW: f32 = 1e-30;
+/// Stands for 0 in denominators. Two arcs of [`one_axis_below`] are undefined on GPUs where w and a or b are 0, though their sum is
+/// not, and this near it is right.
+const LEAST: f32 = 1e-30;
 
 /// The shares of a cosine lobe about the unit vector `normal` that the octants receive: ∫ max(0, cosθ)/π over each. They add up
 /// to 1. Closed form: σ·n/4 for the octant that lies above the horizon, Lambert's polygon for those that it cuts.
 pub fn octant_shares(normal: Vec3) -> [f32; 8] {
     let n = normal.abs();
-    let w = n.max(Vec3::splat(LEAST_BELOW));
+    let w = n.max(Vec3::splat(LEAST));
     // Where the normal is an axis nothing is cut; most walls have such normals.
     let polygons = if n.element_sum() > 1.0 {
         Vec3::new(one_axis_below(n.y, n.z, w.x), one_axis_below(n.z, n.x, w.y), one_axis_below(n.x, n.y, w.z))
@@ -83,37 +83,43 @@ impl Draws {
 pub const OCTANT_DRAWS: u32 = 4;
 
 /// The proposal inside an octant: density ∝ Σ max(0, s_i)·|ω_i| over the whole octant, which is the cosine lobe itself
-/// where nothing is cut off, and lies above it elsewhere.
-fn propose(above: Vec3, signs: Vec3, u: Vec2, choice: f32) -> Vec3 {
-    let c = sample_cosine(Vec2::new(u.x, 0.25 * u.y));
+/// where nothing is cut off, and lies above it elsewhere. Strips of the unit square along u.x choose the axis.
+fn propose(above: Vec3, signs: Vec3, u: Vec2) -> Vec3 {
+    let at = u.x * above.element_sum();
+    let (first, second) = (at < above.x, at < above.x + above.y);
+    let (strip, before) = match (first, second) {
+        (true, _) => (above.x, 0.0),
+        (_, true) => (above.y, above.x),
+        _ => (above.z, above.x + above.y),
+    };
+    let rest = ((at - before) / strip.max(LEAST)).clamp(0.0, BELOW_ONE);
+    let c = sample_cosine(Vec2::new(rest, 0.25 * u.y));
     let c = Vec3::new(c.x.abs(), c.y.abs(), c.z);
-    let at = choice * above.element_sum();
-    let local = if at < above.x {
-        Vec3::new(c.z, c.x, c.y)
-    } else if at < above.x + above.y {
-        Vec3::new(c.y, c.z, c.x)
-    } else {
-        c
+    let local = match (first, second) {
+        (true, _) => c.zxy(),
+        (_, true) => c.yzx(),
+        _ => c,
     };
     local * signs
 }
 
 /// A direction of `octant` with the density [`pdf_in_octant`]. Cut octants take the first of [`OCTANT_DRAWS`] proposals
 /// that the horizon accepts, and the last one as it comes; it may lie below the horizon and is then worth nothing.
-/// `first` holds the numbers of the first draw: acceptance, two for the direction, choice of the axis.
-pub fn sample_in_octant(normal: Vec3, octant: u32, first: Vec4, draws: &Draws) -> Vec3 {
+pub fn sample_in_octant(normal: Vec3, octant: u32, u: Vec2, draws: &Draws) -> Vec3 {
     let signs = octant_signs(octant);
     let s = normal * signs;
     let above = s.max(Vec3::ZERO);
-    let mut u = first;
-    let mut direction = Vec3::ZERO;
-    for draw in 1..=OCTANT_DRAWS {
-        direction = propose(above, signs, Vec2::new(u.y, u.z), u.w);
-        let proposed = above.dot(direction * signs);
-        if draw == OCTANT_DRAWS || u.x * proposed < normal.dot(direction) {
+    let mut direction = propose(above, signs, u);
+    if s.min_element() >= 0.0 {
+        return direction;
+    }
+    for draw in 1..OCTANT_DRAWS {
+        // Whether the horizon accepts, and what to propose else.
+        let next = draws.get(draw);
+        if next.x * above.dot(direction * signs) < normal.dot(direction) {
             break;
         }
-        u = draws.get(draw);
+        direction = propose(above, signs, next.yz());
     }
     direction
 }

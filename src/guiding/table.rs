@@ -5,7 +5,7 @@ use super::octant::{Draws, octant_of, octant_shares, pdf_in_octant, sample_in_oc
 use super::quadtree::{find_leaf, leaf_density, leaf_number, octant_coordinates, ticket_direction};
 use crate::gpu_struct;
 use crate::sampling::BELOW_ONE;
-use glam::{Vec2, Vec3, Vec4};
+use glam::{Vec2, Vec3};
 use std::f32::consts::FRAC_1_PI;
 
 gpu_struct! {
@@ -274,11 +274,11 @@ pub mod octants {
         GuidedDensity { pdf: probability * pdf_in_octant(normal, octant, share, direction), slot }
     }
 
-    /// A direction with that density. `u`: acceptance, two for the direction, choice of the octant.
-    pub fn sample(cell: &Cell, normal: Vec3, shares: &[f32; 8], mean: f32, u: Vec4, draws: &Draws) -> Vec3 {
+    /// A direction with that density: strips of the unit square along u.x choose the octant.
+    pub fn sample(cell: &Cell, normal: Vec3, shares: &[f32; 8], mean: f32, u: Vec2, draws: &Draws) -> Vec3 {
         let weights: [f32; 8] = std::array::from_fn(|a| cell.octants[a] * shares[a]);
-        let (octant, rest) = choose_octant(&weights, mean, u.w);
-        sample_in_octant(normal, octant, Vec4::new(u.x, u.y, u.z, rest), draws)
+        let (octant, rest) = choose_octant(&weights, mean, u.x);
+        sample_in_octant(normal, octant, Vec2::new(rest, u.y), draws)
     }
 }
 

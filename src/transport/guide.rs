@@ -11,7 +11,7 @@ use crate::math::{luminance, to_world};
 use crate::sampling::{BELOW_ONE, pdf_cosine, sample_cosine};
 use crate::scene::compiled::Material;
 use crate::scene::shapes::Surface;
-use glam::{Vec2, Vec3, Vec4, Vec4Swizzles};
+use glam::{Vec2, Vec3, Vec4Swizzles};
 use std::f32::consts::FRAC_1_PI;
 
 /// The table that is asked, and the sums that learn.
@@ -147,12 +147,9 @@ impl Transport<'_> {
                 let u = Vec2::new(u.x / point.mixture, u.y);
                 return adaptive::sample(guidance.table, &point.cell, u).0;
             }
-            GuideMode::Octant => {
-                let choice = draws.get(0);
-                if choice.x < point.mixture {
-                    let v = Vec4::new(choice.x / point.mixture, choice.y, choice.z, choice.w);
-                    return octants::sample(&point.cell, normal, &point.shares, point.mean, v, draws);
-                }
+            GuideMode::Octant if u.x < point.mixture => {
+                let u = Vec2::new(u.x / point.mixture, u.y);
+                return octants::sample(&point.cell, normal, &point.shares, point.mean, u, draws);
             }
             mode if mode.is_bansal() => {
                 return redrawn_direction(point, guidance.table.uniforms.threshold, normal, u, draws);
@@ -204,12 +201,14 @@ impl Transport<'_> {
     }
 }
 
-/// The material's own choice. With quadtrees one pair of numbers decides all: strips of the unit square choose who guides
-/// and by which ticket, so directions are as evenly spread as the pair is over the samples of a pixel.
+/// The material's own choice. One pair of numbers decides all: strips of the unit square choose who guides, and by which ticket or
+/// octant, so directions are as evenly spread as the pair is over the samples of a pixel.
 #[inline]
 fn own_direction(mode: GuideMode, point: &GuidePoint, normal: Vec3, u: Vec2) -> Vec3 {
     let x = match mode {
-        GuideMode::Adaptive => ((u.x - point.mixture) / (1.0 - point.mixture)).min(BELOW_ONE),
+        GuideMode::Adaptive | GuideMode::Octant => {
+            ((u.x - point.mixture) / (1.0 - point.mixture)).min(BELOW_ONE)
+        }
         _ => u.x,
     };
     to_world(sample_cosine(Vec2::new(x, u.y)), normal)

@@ -74,7 +74,7 @@ fn directions_in_an_octant_follow_their_density() {
     let (mut whole, mut cut) = (0, 0);
     for normal in normals() {
         for octant in (0..8).filter(|&octant| octant_share(normal, octant) > 1e-3) {
-            let sample = |i| sample_in_octant(normal, octant, numbers(i), &draws(i));
+            let sample = |i| sample_in_octant(normal, octant, numbers(i).yz(), &draws(i));
             let inside = |d: Vec3| octant_of(d) == octant;
             let pdf = |d: Vec3| {
                 if inside(d) { pdf_in_octant(normal, octant, octant_share(normal, octant), d) } else { 0.0 }
@@ -87,7 +87,7 @@ fn directions_in_an_octant_follow_their_density() {
     assert!(whole >= 6 && cut >= 10, "{whole} whole octants, {cut} cut ones");
     // Negative control: the product of cosine and octant, as if draws were repeated until one is above the horizon.
     let (normal, octant) = (normals()[2], octant_of(Vec3::new(1.0, -1.0, -1.0)));
-    let sample = |i| sample_in_octant(normal, octant, numbers(i), &draws(i));
+    let sample = |i| sample_in_octant(normal, octant, numbers(i).yz(), &draws(i));
     let share = octant_share(normal, octant);
     let product = |d: Vec3| if octant_of(d) == octant { pdf_cosine(normal.dot(d)) / share } else { 0.0 };
     does_not_follow("exact product", sample, product);
@@ -100,7 +100,7 @@ fn octant_directions_follow_their_density() {
         let (cell, _) = learnt.cell(i as u32);
         let shares = octant_shares(normal);
         let mean = octants::mean_radiance(&cell, &shares);
-        let sample = |i| octants::sample(&cell, normal, &shares, mean, numbers(i), &draws(i));
+        let sample = |i| octants::sample(&cell, normal, &shares, mean, numbers(i).yz(), &draws(i));
         let pdf = |d| octants::density(&cell, normal, &shares, mean, d).pdf;
         follows(&format!("octants about {normal}"), sample, pdf);
         // Negative control: 10 % more in one octant of those that matter.
