@@ -14,10 +14,10 @@ const ESTIMATE_SAMPLES: f64 = 512.0;
 
 /// What `earlier` samples, from before the guide was given up, count of what their noise says when `later` ones have followed, where
 /// samples are stratified. Later ones converge faster than independent ones, so the few from before would be more of the error
-/// than it says: as if by a quarter of a power. By numbers alone, so that it does not depend on any noise, and slowly: a few later
-/// samples are no whole strata yet.
+/// than it says: as if by an eighth of a power (strata took 0.4 to 0.83 of the noise of scenes that come here, in 4 s of an H100). By
+/// numbers alone, so that it does not depend on any noise.
 fn faded(earlier: u32, later: u32) -> f64 {
-    (f64::from(earlier) / f64::from(later.max(1))).sqrt().sqrt().min(1.0)
+    (f64::from(earlier) / f64::from(later.max(1))).sqrt().sqrt().sqrt().min(1.0)
 }
 
 /// What a guided render keeps besides the film.
