@@ -34,7 +34,7 @@ fn default() -> GuideOptions {
 
 #[derive(Args)]
 pub struct GuideArgs {
-    /// Learn where light comes from, and send paths there. auto is adaptive where trials show that it pays, else off;
+    /// Learn where light comes from, and send paths there. auto is adaptive where it turns out to pay, else off;
     /// bansal is that paper's rule, which is biased; all others converge to the truth
     #[arg(long, value_enum, default_value_t = GuideArg::Off)]
     guide: GuideArg,
