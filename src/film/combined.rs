@@ -240,6 +240,29 @@ mod tests {
         (film, combined)
     }
 
+    /// A pixel of a hundredth of the mean, whose noise nobody sees, does not tell how noisy a pass is.
+    #[test]
+    fn noise_is_judged_by_what_is_seen() {
+        let judged = |dark: f32| {
+            let mut film = Film::new(4, 1);
+            let mut combined = CombinedFilm::new(&film);
+            let values = [1.0, dark, 1.0, dark];
+            for (pixel, value) in film.pixels_mut().iter_mut().zip(values) {
+                for sample in 0..64 {
+                    // The bright ones scatter by a tenth, the dark ones by their threefold.
+                    let scatter = if value < 1.0 { 3.0 * value } else { 0.1 };
+                    pixel.add([value + if sample % 2 == 0 { scatter } else { -scatter }; 3].into());
+                }
+            }
+            combined.judge(&film, &values);
+            combined.variance()
+        };
+        let (dark, dim) = (judged(0.01), judged(0.5));
+        // Half of 0.01, more or less, in the one case; half of 9, less by epsilon, in the other.
+        assert!(dark < 0.05, "{dark}");
+        assert!((3.0..4.6).contains(&dim), "{dim}: what is seen counts");
+    }
+
     #[test]
     fn faded_passes_count_that_share_of_what_they_counted() {
         let mean = |faded| combined(&[(64, 1.0), (64, 2.0)], faded).1.pixels[0].combined_mean()[0];
