@@ -36,7 +36,7 @@ pub struct GpuFilm {
     pub key: KernelKey,
     pub kernels: HashMap<Stage, Kernel>,
     /// Kernels for other passes: those that only ask the table, those that do without.
-    pub(super) spares: Vec<(KernelKey, HashMap<Stage, Kernel>)>,
+    pub(super) spares: Vec<KernelSet>,
     pub buffers: Buffers,
     pub uniforms: Uniforms,
     pub stats: RenderStats,
@@ -67,6 +67,9 @@ impl Keys {
     }
 }
 
+/// Kernels, and what they can do.
+pub(super) type KernelSet = (KernelKey, HashMap<Stage, Kernel>);
+
 /// The kernels that each key needs, compiled side by side: drivers take 0.1 s and more for some, and a guide that is only tried
 /// needs three sets.
 fn compile_all(
@@ -74,7 +77,7 @@ fn compile_all(
     keys: &[KernelKey],
     stages: impl Fn(&KernelKey) -> Vec<Stage>,
     schedule: Schedule,
-) -> Result<Vec<(KernelKey, HashMap<Stage, Kernel>)>, RenderError> {
+) -> Result<Vec<KernelSet>, RenderError> {
     let of = |set: usize| stages(&keys[set]).into_iter().map(move |stage| (set, stage));
     let wanted: Vec<(usize, Stage)> = (0..keys.len()).flat_map(of).collect();
     let compile = |(set, stage): (usize, Stage)| {
@@ -82,8 +85,7 @@ fn compile_all(
         Ok((set, stage, gpu.kernel(&stage.name(), &wgsl)?))
     };
     let kernels: Vec<_> = wanted.into_par_iter().map(compile).collect::<Result<_, RenderError>>()?;
-    let mut sets: Vec<(KernelKey, HashMap<Stage, Kernel>)> =
-        keys.iter().map(|&key| (key, HashMap::new())).collect();
+    let mut sets: Vec<KernelSet> = keys.iter().map(|&key| (key, HashMap::new())).collect();
     for (set, stage, kernel) in kernels {
         sets[set].1.insert(stage, kernel);
     }
