@@ -19,7 +19,7 @@ const MIXTURE: Help =
 const DISCOUNT: Help = Help("bansal: what the next surface's best direction counts");
 const THRESHOLD: Help = Help("bansal: directions worth less than this share of the best are drawn again");
 const LEARNING: Help =
-    Help("Samples per pixel that teach, rounded up to a power of two; 0 uses a loaded guide as it is");
+    Help("Samples per pixel that teach, rounded up to whole passes; 0 uses a loaded guide as it is");
 const MEMORY: Help = Help("Memory at which cells are no longer cut finer: 64M, 2G");
 
 impl Help {

@@ -106,7 +106,7 @@ impl Guided {
         }
         self.planner.judge(&self.pass, self.combined.variance(), rays_per_path);
         let next = self.planner.next(samples);
-        // Plain tracing that goes on is one pass: all its samples are alike.
+        // What goes on as it was is one pass: all its samples are alike. So is plain tracing after the prelude.
         if next.strategy != self.pass.strategy || self.pass.teaches() {
             self.combined.add_pass(film);
         }

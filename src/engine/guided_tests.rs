@@ -6,7 +6,7 @@ use crate::engine::cpu::CpuEngine;
 use crate::engine::gpu_film::{GpuFilm, Keys};
 use crate::engine::megakernel::MegakernelEngine;
 use crate::engine::tracer::Tracer;
-use crate::engine::{CancelToken, EngineKind, RenderStats};
+use crate::engine::{CancelToken, EngineKind, RenderStats, Renderer};
 use crate::gpu::device::Gpu;
 use crate::gpu::key::KernelKey;
 use crate::guiding::state::Row;
@@ -182,4 +182,25 @@ fn earlier_samples_fade_by_how_many_follow() {
     let eighth = [faded(128, 256 * 128), faded(1, 1 << 16)];
     assert!(eighth.iter().zip([0.5, 0.25]).all(|(a, b)| (a - b).abs() < 1e-12), "{eighth:?}");
     assert_eq!(faded(0, 100), 0.0);
+}
+
+/// Plain samples that turn out to suffice are one pass with what follows: the image is the film's plain mean. With a guide it is
+/// not, since passes weigh by their noise.
+#[test]
+fn a_prelude_that_goes_on_is_one_pass() {
+    let path = |name: &str| format!("{}/scenes/{name}.toml", env!("CARGO_MANIFEST_DIR"));
+    let distance = |name: &str, trial: bool| {
+        let scene = Scene::load(path(name)).expect("the scene loads");
+        let guide = GuideOptions { mode: GuideMode::Adaptive, trial, ..Default::default() };
+        let options = RenderOptions { guide, size: Some((16, 12)), ..RenderOptions::cpu() };
+        let mut renderer = Renderer::new(&scene, options).expect("it starts");
+        while renderer.samples() < 40 {
+            renderer.step(40 - renderer.samples()).expect("it renders");
+        }
+        let (image, plain) = (renderer.image().rgb, renderer.film().mean());
+        let pairs = image.as_flattened().iter().zip(plain.as_flattened());
+        pairs.map(|(a, b)| (a - b).abs() / b.abs().max(1e-6)).fold(0.0f32, f32::max)
+    };
+    assert!(distance("metal-spheres", true) < 1e-6, "{}", distance("metal-spheres", true));
+    assert!(distance("metal-spheres", false) > 1e-4, "{}", distance("metal-spheres", false));
 }

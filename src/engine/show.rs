@@ -4,7 +4,7 @@ use crate::accel::Search;
 use crate::bsdf::{bsdf_sample, lambert_share};
 use crate::film::{GuideLayers, srgb_to_linear};
 use crate::guiding::octant::octant_shares;
-use crate::guiding::octant::{octant_share, octant_signs};
+use crate::guiding::octant::octant_signs;
 use crate::guiding::quadtree::{leaf_depth, ticket_direction};
 use crate::guiding::table::{Cell, NO_CELL, octants};
 use crate::guiding::{GuideMode, GuideTable, Learner};
@@ -118,7 +118,8 @@ fn leaves(table: &GuideTable, cell: &Cell) -> Vec<Part> {
 
 /// Octants of a cell as a surface with this normal sees them, each with its share of the cosine lobe.
 fn octant_parts(cell: &Cell, normal: Vec3) -> impl Iterator<Item = Part> {
-    let weights: [f32; 8] = std::array::from_fn(|a| cell.octants[a] * octant_share(normal, a as u32));
+    let shares = octant_shares(normal);
+    let weights: [f32; 8] = std::array::from_fn(|a| cell.octants[a] * shares[a]);
     let total: f32 = weights.iter().sum();
     (0..8).filter(move |_| total > 0.0).map(move |a| Part {
         probability: weights[a] / total,

@@ -45,7 +45,7 @@ const FIRST_PASS: u32 = 4;
 /// The same where rays walk for long: a pass takes as long as its longest path, 45 ms in still-life, so that passes of few samples
 /// cost what many would; and interior's tables came out as good.
 const FIRST_PASS_OF_LONG_WALKS: u32 = 16;
-/// Shape tests that a ray's walk stands for, from which on it is long: more than 256 shapes.
+/// Shape tests that a ray's way stands for, from which on it is long: 256 shapes in a hierarchy.
 const LONG_WALK: usize = 128;
 /// Samples per pixel without the table, before it is tried: what it must be better than.
 const PRELUDE: u32 = 16;
@@ -199,7 +199,9 @@ impl Planner {
     /// Passes that learn, then one without end.
     fn learn_on(&self, samples: u32) -> Pass {
         let prelude = if self.plain.is_some() { PRELUDE } else { 0 };
-        let learning = samples - prelude < self.learning_samples;
+        // Once passes double all samples, all count.
+        let taught = if samples < 2 * prelude { samples - prelude } else { samples };
+        let learning = taught < self.learning_samples;
         let end = if learning { doubled(samples, prelude, self.first_pass) } else { u32::MAX };
         // What is to be compared ends there, even if nothing is to be learnt until then.
         let check = self.plain.and(CHECKS.get(self.check)).map_or(u32::MAX, |&at| at);
@@ -207,7 +209,7 @@ impl Planner {
     }
 }
 
-/// Where the pass after `samples` ends: it doubles the samples that taught, and where those are more than the prelude's, all.
+/// Where the pass after `samples` ends: it doubles the samples that taught, and where those are as many as the prelude's, all.
 fn doubled(samples: u32, prelude: u32, first: u32) -> u32 {
     let taught = samples - prelude;
     if taught < prelude.max(first) {
@@ -303,8 +305,10 @@ mod tests {
     fn comparisons_come_whatever_is_learnt() {
         for (learning_samples, expected) in [
             (0, vec![16, 128, 256, u32::MAX]),
-            (32, vec![16, 20, 24, 32, 64, 128, 256, u32::MAX]),
+            (1, vec![16, 20, 128, 256, u32::MAX]),
+            (32, vec![16, 20, 24, 32, 128, 256, u32::MAX]),
             (128, vec![16, 20, 24, 32, 64, 128, 256, u32::MAX]),
+            (512, vec![16, 20, 24, 32, 64, 128, 256, 512, u32::MAX]),
         ] {
             let mut planner = planner(true, Sampler::Independent);
             planner.learning_samples = learning_samples;

@@ -84,7 +84,8 @@ pub struct GuideOptions {
     pub discount: f32,
     /// Bansal: octants below this share of the best are drawn again, 0 to 1.
     pub threshold: f32,
-    /// Samples per pixel that teach, rounded up to whole passes; the rest only uses what was learnt. 0: nothing is learnt.
+    /// Samples per pixel that teach, rounded up to whole passes, with a `trial` the plain ones from before as well as these are 32 or
+    /// more; the rest only uses what was learnt. 0: nothing is learnt.
     pub learning_samples: u32,
     /// Samples per pixel from which on learnt roulette goes by what was learnt; before, paths end by throughput. What cells
     /// know after a few samples is so rough that roulette by it brought 3 to 9 times the noise at 16 (docs/GUIDING.md).
@@ -104,7 +105,7 @@ impl Default for GuideOptions {
             alpha: None,
             discount: 0.8,
             threshold: 0.75,
-            learning_samples: 480,
+            learning_samples: 511,
             mature_samples: 64,
             memory: 256 << 20,
         }
