@@ -183,13 +183,14 @@ fn mean_illumination(name: &str, options: &RenderOptions, spp: u32) -> f64 {
     learnt.iter().map(|v| f64::from(*v)).sum::<f64>() / learnt.len() as f64
 }
 
-/// A visit is counted once for all copies, and each teaches its share. Within what seeds scatter by: 1 % here.
+/// A visit is counted once for all copies, and each teaches its share. Within what seeds scatter by: 1 % here. After seven passes: split
+/// paths teach more, so with few their tables are further on (octants, 5 passes: 1.6 %).
 #[test]
 fn split_paths_teach_what_whole_ones_do() {
     for mode in [GuideMode::Adaptive, GuideMode::Octant] {
         for (name, tolerance) in [("furnace-closed-50", 0.02), ("cornell-box", 0.05)] {
             let [whole, split] =
-                [1, 8].map(|split| mean_illumination(name, &splitting(mode, split, 4.0, 60), 126));
+                [1, 8].map(|split| mean_illumination(name, &splitting(mode, split, 4.0, 60), 256));
             println!("{mode}, {name}: {:.4}", split / whole);
             assert!((split / whole - 1.0).abs() < tolerance, "{mode}, {name}: {split} for {whole}");
         }
