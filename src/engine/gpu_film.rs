@@ -70,8 +70,8 @@ impl Keys {
 /// Kernels, and what they can do.
 pub(super) type KernelSet = (KernelKey, HashMap<Stage, Kernel>);
 
-/// The kernels that each key needs, compiled side by side: drivers take 0.1 s and more for some, and a guide that is only tried
-/// needs three sets.
+/// The kernels that each key needs, compiled side by side: a guide that is only tried needs three sets (still-life on an H100 with
+/// 16 cores: 0.27 s until all is ready, 1.2 s one after the other).
 fn compile_all(
     gpu: &Gpu,
     keys: &[KernelKey],

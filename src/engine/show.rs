@@ -3,8 +3,7 @@
 use crate::accel::Search;
 use crate::bsdf::{bsdf_sample, lambert_share};
 use crate::film::{GuideLayers, srgb_to_linear};
-use crate::guiding::octant::octant_shares;
-use crate::guiding::octant::octant_signs;
+use crate::guiding::octant::{octant_shares, octant_signs};
 use crate::guiding::quadtree::{leaf_depth, ticket_direction};
 use crate::guiding::table::{Cell, NO_CELL, octants};
 use crate::guiding::{GuideMode, GuideTable, Learner};

@@ -199,23 +199,14 @@ impl Planner {
     /// Passes that learn, then one without end.
     fn learn_on(&self, samples: u32) -> Pass {
         let prelude = if self.plain.is_some() { PRELUDE } else { 0 };
-        // Once passes double all samples, all count.
-        let taught = if samples < 2 * prelude { samples - prelude } else { samples };
-        let learning = taught < self.learning_samples;
-        let end = if learning { doubled(samples, prelude, self.first_pass) } else { u32::MAX };
+        // Each pass doubles the samples that taught, and once those are as many as the prelude's, all.
+        let counted = if samples < 2 * prelude { samples - prelude } else { samples };
+        let learning = counted < self.learning_samples;
+        let end = if learning { samples.saturating_add(counted.max(self.first_pass)) } else { u32::MAX };
         // What is to be compared ends there, even if nothing is to be learnt until then.
         let check = self.plain.and(CHECKS.get(self.check)).map_or(u32::MAX, |&at| at);
         Pass { strategy: self.informed.strategy, end: end.min(check), learning }
     }
-}
-
-/// Where the pass after `samples` ends: it doubles the samples that taught, and where those are as many as the prelude's, all.
-fn doubled(samples: u32, prelude: u32, first: u32) -> u32 {
-    let taught = samples - prelude;
-    if taught < prelude.max(first) {
-        return samples + taught.max(first);
-    }
-    samples.saturating_add(1).checked_next_power_of_two().unwrap_or(u32::MAX)
 }
 
 #[cfg(test)]
