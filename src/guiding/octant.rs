@@ -59,11 +59,6 @@ pub fn octant_shares(normal: Vec3) -> [f32; 8] {
     std::array::from_fn(|octant| shares[octant ^ flipped])
 }
 
-/// The share of one octant.
-pub fn octant_share(normal: Vec3, octant: u32) -> f32 {
-    octant_shares(normal)[octant as usize]
-}
-
 /// Where a guided direction's numbers come from: those of one surface of one path.
 #[derive(Clone, Copy, Debug)]
 pub struct Draws {

@@ -13,7 +13,7 @@ use qtracer::Sampler;
 use qtracer::accel::Search;
 use qtracer::gpu::device::Gpu;
 use qtracer::gpu::key::KernelKey;
-use qtracer::guiding::octant::{octant_of, octant_share, octant_shares};
+use qtracer::guiding::octant::{octant_of, octant_shares};
 use qtracer::guiding::quadtree::{MAX_DEPTH, octant_coordinates};
 use qtracer::guiding::table::{CellPlace, NO_CELL, adaptive, octants};
 use qtracer::guiding::{GuideMode, GuideTable, LessonLayout, LessonSums};
@@ -200,7 +200,7 @@ fn octants_have_the_same_densities_on_the_gpu() {
     for ((cell, normal, direction), answer) in asked.iter().zip(&answers) {
         let mean = octants::mean_radiance(cell, &octant_shares(*normal));
         let expected = octants::density(cell, *normal, &octant_shares(*normal), mean, *direction);
-        let share = octant_share(*normal, octant_of(*direction));
+        let share = octant_shares(*normal)[octant_of(*direction) as usize];
         let [pdf, gpu_share, gpu_mean] = [answer[1], answer[2], answer[3]].map(f32::from_bits);
         let what =
             format!("{normal} {direction}: {pdf} {gpu_share} {gpu_mean} for {expected:?} {share} {mean}");
@@ -210,7 +210,7 @@ fn octants_have_the_same_densities_on_the_gpu() {
     }
     // Negative control: shares of other normals are not that close.
     let shares = asked.iter().zip(&answers).filter(|((_, n, d), a)| {
-        close(octant_share((*n + 1e-3).normalize(), octant_of(*d)), f32::from_bits(a[2]), 0.0, 2e-6)
+        close(octant_shares((*n + 1e-3).normalize())[octant_of(*d) as usize], f32::from_bits(a[2]), 0.0, 2e-6)
     });
     assert!(shares.count() < asked.len() / 2);
 }

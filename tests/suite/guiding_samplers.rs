@@ -9,9 +9,7 @@ use crate::tables::*;
 use glam::{Vec3, Vec4Swizzles};
 use qtracer::Sampler;
 use qtracer::accel::Search;
-use qtracer::guiding::octant::{
-    Draws, octant_of, octant_share, octant_shares, pdf_in_octant, sample_in_octant,
-};
+use qtracer::guiding::octant::{Draws, octant_of, octant_shares, pdf_in_octant, sample_in_octant};
 use qtracer::guiding::table::{adaptive, bansal, octants};
 use qtracer::guiding::{GuideMode, LessonLayout, LessonSums};
 use qtracer::random::{SampleKey, sample4};
@@ -73,11 +71,15 @@ fn normals() -> [Vec3; 6] {
 fn directions_in_an_octant_follow_their_density() {
     let (mut whole, mut cut) = (0, 0);
     for normal in normals() {
-        for octant in (0..8).filter(|&octant| octant_share(normal, octant) > 1e-3) {
+        for octant in (0..8).filter(|&octant| octant_shares(normal)[octant as usize] > 1e-3) {
             let sample = |i| sample_in_octant(normal, octant, numbers(i).yz(), &draws(i));
             let inside = |d: Vec3| octant_of(d) == octant;
             let pdf = |d: Vec3| {
-                if inside(d) { pdf_in_octant(normal, octant, octant_share(normal, octant), d) } else { 0.0 }
+                if inside(d) {
+                    pdf_in_octant(normal, octant, octant_shares(normal)[octant as usize], d)
+                } else {
+                    0.0
+                }
             };
             follows(&format!("octant {octant} about {normal}"), sample, pdf);
             let is_cut = (normal * qtracer::guiding::octant::octant_signs(octant)).min_element() < 0.0;
@@ -88,7 +90,7 @@ fn directions_in_an_octant_follow_their_density() {
     // Negative control: the product of cosine and octant, as if draws were repeated until one is above the horizon.
     let (normal, octant) = (normals()[2], octant_of(Vec3::new(1.0, -1.0, -1.0)));
     let sample = |i| sample_in_octant(normal, octant, numbers(i).yz(), &draws(i));
-    let share = octant_share(normal, octant);
+    let share = octant_shares(normal)[octant as usize];
     let product = |d: Vec3| if octant_of(d) == octant { pdf_cosine(normal.dot(d)) / share } else { 0.0 };
     does_not_follow("exact product", sample, product);
 }
@@ -104,7 +106,8 @@ fn octant_directions_follow_their_density() {
         let pdf = |d| octants::density(&cell, normal, &shares, mean, d).pdf;
         follows(&format!("octants about {normal}"), sample, pdf);
         // Negative control: 10 % more in one octant of those that matter.
-        let most = (0..8).max_by_key(|&a| (cell.octants[a as usize] * octant_share(normal, a) * 1e6) as u32);
+        let most = (0..8)
+            .max_by_key(|&a| (cell.octants[a as usize] * octant_shares(normal)[a as usize] * 1e6) as u32);
         let wrong = |d| if Some(octant_of(d)) == most { 1.1 * pdf(d) } else { pdf(d) };
         does_not_follow("a tenth more", sample, wrong);
     }
@@ -177,7 +180,7 @@ fn redrawn_directions_follow_the_density_that_bansal_left_out() {
         assert!(uniform_directions().all(|d| pdf(d) == transport.guided_pdf(&point, normal, d)));
         let accepted: f32 = (0..8)
             .filter(|&a| bansal::accepts(&point.cell, threshold, a))
-            .map(|a| octant_share(normal, a))
+            .map(|a| octant_shares(normal)[a as usize])
             .sum();
         // Negative control: the cosine, which Bansal divides by.
         if (0.02..0.98).contains(&accepted) {
