@@ -48,17 +48,22 @@ pub fn luminance(rgb: Vec3) -> f32 {
     rgb.dot(Vec3::new(0.2126, 0.7152, 0.0722))
 }
 
-/// The angle of (x, y), −π to π, to within 3e-7: a polynomial (Abramowitz and Stegun 4.4.49), since WGSL lets drivers be
-/// wrong by 4096 roundings.
+/// The arc whose tangent is `across` / `along`, neither of them negative, to within 3e-7: a polynomial (Abramowitz and Stegun
+/// 4.4.49), since WGSL lets drivers be wrong by 4096 roundings. 0 where both are 0.
 #[inline(always)]
-pub fn angle_of(y: f32, x: f32) -> f32 {
-    let (across, along) = (y.abs(), x.abs());
+pub fn acute_angle(across: f32, along: f32) -> f32 {
     let t = across.min(along) / across.max(along).max(1e-30);
     let s = t * t;
     let tail = -0.075_289_64 + s * (0.042_909_614 + s * (-0.016_165_737 + s * 0.002_866_225_7));
     let share =
         1.0 + s * (-0.333_331_45 + s * (0.199_935_51 + s * (-0.142_089 + s * (0.106_562_64 + s * tail))));
-    let acute = if across > along { 0.5 * PI - t * share } else { t * share };
+    if across > along { 0.5 * PI - t * share } else { t * share }
+}
+
+/// The angle of (x, y), −π to π, to within 3e-7.
+#[inline(always)]
+pub fn angle_of(y: f32, x: f32) -> f32 {
+    let acute = acute_angle(y.abs(), x.abs());
     let angle = if x < 0.0 { PI - acute } else { acute };
     if y < 0.0 { -angle } else { angle }
 }

@@ -158,7 +158,7 @@ impl Learnt {
         Some(match self.mode {
             GuideMode::Adaptive => (cell.irradiance * FRAC_1_PI, self.summaries[number as usize], number),
             _ => {
-                let mean = octants::mean_radiance(&cell, &octant_shares(normal));
+                let mean = octants::radiance(&cell, &octant_shares(normal));
                 let known = mean > 0.0;
                 let summary =
                     if known { Summary::new(octant_parts(&cell, normal)) } else { Summary::default() };

@@ -1,7 +1,7 @@
 //! The table that guides paths: cells on surfaces, found by position and normal, each with its learnt distribution over
 //! directions. Flat rows of four words, the same on the CPU and on the GPU. GPU twin: kernels/guiding/table.wesl
 
-use super::octant::{Draws, octant_of, octant_shares, pdf_in_octant, sample_in_octant};
+use super::octant::{LEAST, octant_of, octant_shares, octant_wholes, propose_in_octant};
 use super::quadtree::{find_leaf, leaf_density, leaf_number, octant_coordinates, ticket_direction};
 use crate::gpu_struct;
 use crate::sampling::BELOW_ONE;
@@ -251,49 +251,53 @@ pub mod adaptive {
 pub mod octants {
     use super::*;
 
-    /// Σ Q_a·F_a: the mean radiance weighted by the cosine, whose product with the albedo is what the surface sends back.
-    pub fn mean_radiance(cell: &Cell, shares: &[f32; 8]) -> f32 {
-        (0..8).map(|a| cell.octants[a] * shares[a]).sum()
+    /// Σ Q_a·w_a. By the octants' shares of the cosine lobe: the mean radiance weighted by the cosine, whose product with the albedo
+    /// is what the surface sends back. By what their proposals come to: what a proposal is worth.
+    pub fn radiance(cell: &Cell, weights: &[f32; 8]) -> f32 {
+        (0..8).map(|a| cell.octants[a] * weights[a]).sum()
     }
 
-    /// Density and slot of `direction`: cosθ/π · Q_a / ΣQF wherever the octant is not cut by the horizon.
-    pub fn density(
-        cell: &Cell,
-        normal: Vec3,
-        shares: &[f32; 8],
-        mean: f32,
-        direction: Vec3,
-    ) -> GuidedDensity {
+    /// Density and slot of `direction`, which has that density in the cosine lobe; `proposed` is what a proposal is worth. A
+    /// proposal that is kept has density cosθ/π · Q_a / proposed; one that is not, of which there are 1 − mean/proposed, makes room
+    /// for a direction of the cosine lobe.
+    pub fn density(cell: &Cell, mean: f32, proposed: f32, cosine: f32, direction: Vec3) -> GuidedDensity {
         let octant = octant_of(direction);
         let slot = 8 * cell.index + octant;
-        if mean <= 0.0 {
+        if proposed <= 0.0 {
             return GuidedDensity { pdf: 0.0, slot };
         }
-        let share = shares[octant as usize];
-        let probability = cell.octants[octant as usize] * share / mean;
-        GuidedDensity { pdf: probability * pdf_in_octant(normal, octant, share, direction), slot }
+        let q = cell.octants[octant as usize];
+        GuidedDensity { pdf: cosine * (q + (proposed - mean).max(0.0)) / proposed, slot }
     }
 
-    /// A direction with that density: strips of the unit square along u.x choose the octant.
-    pub fn sample(cell: &Cell, normal: Vec3, shares: &[f32; 8], mean: f32, u: Vec2, draws: &Draws) -> Vec3 {
-        let weights: [f32; 8] = std::array::from_fn(|a| cell.octants[a] * shares[a]);
-        let (octant, rest) = choose_octant(&weights, mean, u.x);
-        sample_in_octant(normal, octant, Vec2::new(rest, u.y), draws)
+    /// A proposal: strips of the unit square along u.x choose the octant.
+    pub fn proposal(cell: &Cell, normal: Vec3, proposed: f32, u: Vec2) -> Vec3 {
+        let wholes = octant_wholes(normal);
+        let weights: [f32; 8] = std::array::from_fn(|a| cell.octants[a] * wholes[a]);
+        let (octant, rest) = choose_octant(&weights, proposed, u.x);
+        propose_in_octant(normal, octant, Vec2::new(rest, u.y))
     }
 }
 
 /// The octant at `choice` of the distribution `weights` / `total`, and where in it `choice` lies, in [0, 1).
 fn choose_octant(weights: &[f32; 8], total: f32, choice: f32) -> (u32, f32) {
-    let target = choice * total;
-    let (mut octant, mut below, mut weight) = (0, 0.0, 1.0);
-    let mut sum = 0.0;
-    for (a, &w) in weights.iter().enumerate() {
-        if w > 0.0 && target >= sum {
-            (octant, below, weight) = (a as u32, sum, w);
-        }
-        sum += w;
-    }
-    (octant, ((target - below) / weight).clamp(0.0, BELOW_ONE))
+    let [a, b, c, d, e, f, g, h] = *weights;
+    let (low, high) = ([a + b, c + d], [e + f, g + h]);
+    let mut aim = choice * total;
+    let upper = in_second(&mut aim, low[0] + low[1], high[0] + high[1]);
+    let (pairs, four) = if upper { (high, [e, f, g, h]) } else { (low, [a, b, c, d]) };
+    let second = in_second(&mut aim, pairs[0], pairs[1]);
+    let two = if second { [four[2], four[3]] } else { [four[0], four[1]] };
+    let odd = in_second(&mut aim, two[0], two[1]);
+    let octant = 4 * u32::from(upper) + 2 * u32::from(second) + u32::from(odd);
+    (octant, (aim / two[usize::from(odd)].max(LEAST)).clamp(0.0, BELOW_ONE))
+}
+
+/// Whether `aim` lies in the second of two strips; never in an empty one, unless both are. Then it is counted from there on.
+fn in_second(aim: &mut f32, first: f32, second: f32) -> bool {
+    let chosen = *aim >= first && second > 0.0;
+    *aim -= if chosen { first } else { 0.0 };
+    chosen
 }
 
 /// Bansal's redraw rule: cosine directions, drawn again until one lies in an octant whose Q is above a share of the

@@ -4,7 +4,7 @@
 use super::path::Transport;
 use crate::bsdf::lambert_share;
 use crate::guiding::lessons::MISSING;
-use crate::guiding::octant::{Draws, octant_of, octant_shares};
+use crate::guiding::octant::{Draws, acceptance, octant_of, octant_shares, octant_wholes};
 use crate::guiding::table::{Cell, CellPlace, GuidedDensity, NO_CELL, adaptive, bansal, octants};
 use crate::guiding::{GuideMode, GuideTable, LessonSums, Transition};
 use crate::math::{luminance, to_world};
@@ -22,6 +22,9 @@ pub struct Guidance<'a> {
     pub sums: &'a LessonSums,
 }
 
+/// Share of directions that the octants propose at most.
+pub const MOST_PROPOSED: f32 = 0.95;
+
 /// What the guide knows at a surface point that has a Lambertian lobe.
 #[derive(Clone, Copy, Debug)]
 pub struct GuidePoint {
@@ -33,8 +36,8 @@ pub struct GuidePoint {
     pub mean: f32,
     /// The Lambertian lobe's part of the material.
     pub share: f32,
-    /// Octant guide: the octants' shares of the cosine lobe.
-    pub shares: [f32; 8],
+    /// Octant guide: what a proposal of the octants is worth.
+    pub proposed: f32,
 }
 
 impl GuidePoint {
@@ -55,17 +58,22 @@ impl Transport<'_> {
         }
         let place = guidance.table.place(surface.position, normal);
         let cell = if place.cell == NO_CELL { Cell::default() } else { guidance.table.cell(place.row) };
-        let shares = match guidance.mode {
-            GuideMode::Octant if cell.trust > 0.0 => octant_shares(normal),
-            _ => [0.0; 8],
+        let (mean, proposed) = match guidance.mode {
+            GuideMode::Octant if cell.trust > 0.0 => {
+                let radiance = |weights| octants::radiance(&cell, &weights);
+                (radiance(octant_shares(normal)), radiance(octant_wholes(normal)))
+            }
+            GuideMode::Adaptive => (cell.irradiance * FRAC_1_PI, 0.0),
+            _ => (0.0, 0.0),
         };
-        let mean = match guidance.mode {
-            GuideMode::Octant => octants::mean_radiance(&cell, &shares),
-            GuideMode::Adaptive => cell.irradiance * FRAC_1_PI,
-            _ => 0.0,
+        let asked = cell.trust * guidance.table.uniforms.mixture;
+        let mixture = match guidance.mode {
+            _ if mean <= 0.0 => 0.0,
+            // So many more as the horizon will turn down, so that as many are guided as were asked for.
+            GuideMode::Octant => (asked * proposed).min(MOST_PROPOSED * mean) / mean,
+            _ => asked,
         };
-        let mixture = if mean > 0.0 { cell.trust * guidance.table.uniforms.mixture } else { 0.0 };
-        Some(GuidePoint { place, cell, mixture, mean, share, shares })
+        Some(GuidePoint { place, cell, mixture, mean, share, proposed })
     }
 
     /// The guide's own density of `wi`, and the slot that learns about it.
@@ -78,7 +86,10 @@ impl Transport<'_> {
         wi: Vec3,
     ) -> GuidedDensity {
         match guidance.mode {
-            GuideMode::Octant => octants::density(&point.cell, normal, &point.shares, point.mean, wi),
+            GuideMode::Octant => {
+                let cosine = pdf_cosine(normal.dot(wi));
+                octants::density(&point.cell, point.mean, point.proposed, cosine, wi)
+            }
             GuideMode::Adaptive => adaptive::density(guidance.table, &point.cell, wi),
             _ => GuidedDensity { pdf: 0.0, slot: 8 * point.cell.index + octant_of(wi) },
         }
@@ -147,16 +158,13 @@ impl Transport<'_> {
                 let u = Vec2::new(u.x / point.mixture, u.y);
                 return adaptive::sample(guidance.table, &point.cell, u).0;
             }
-            GuideMode::Octant if u.x < point.mixture => {
-                let u = Vec2::new(u.x / point.mixture, u.y);
-                return octants::sample(&point.cell, normal, &point.shares, point.mean, u, draws);
-            }
+            GuideMode::Octant => return octant_direction(point, normal, u, draws),
             mode if mode.is_bansal() => {
                 return redrawn_direction(point, guidance.table.uniforms.threshold, normal, u, draws);
             }
             _ => {}
         }
-        own_direction(guidance.mode, point, normal, u)
+        own_direction(own_numbers(guidance.mode, point, u), normal)
     }
 
     /// Counts the visit of a path that leaves at an angle of that cosine with that density, and gives the weight that
@@ -201,17 +209,43 @@ impl Transport<'_> {
     }
 }
 
-/// The material's own choice. One pair of numbers decides all: strips of the unit square choose who guides, and by which ticket or
-/// octant, so directions are as evenly spread as the pair is over the samples of a pixel.
+/// The material's own choice.
 #[inline]
-fn own_direction(mode: GuideMode, point: &GuidePoint, normal: Vec3, u: Vec2) -> Vec3 {
+fn own_direction(own: Vec2, normal: Vec3) -> Vec3 {
+    to_world(sample_cosine(own), normal)
+}
+
+/// Its numbers. One pair decides all: strips of the unit square choose who guides, and by which ticket or octant, so directions are
+/// as evenly spread as the pair is over the samples of a pixel.
+#[inline]
+fn own_numbers(mode: GuideMode, point: &GuidePoint, u: Vec2) -> Vec2 {
     let x = match mode {
         GuideMode::Adaptive | GuideMode::Octant => {
             ((u.x - point.mixture) / (1.0 - point.mixture)).min(BELOW_ONE)
         }
         _ => u.x,
     };
-    to_world(sample_cosine(Vec2::new(x, u.y)), normal)
+    Vec2::new(x, u.y)
+}
+
+/// What the octants propose; where the horizon turns that down, and where the material is to choose, its own choice.
+#[inline]
+fn octant_direction(point: &GuidePoint, normal: Vec3, u: Vec2, draws: &Draws) -> Vec3 {
+    let mut own = own_numbers(GuideMode::Octant, point, u);
+    if u.x < point.mixture {
+        let u = Vec2::new(u.x / point.mixture, u.y);
+        let proposal = octants::proposal(&point.cell, normal, point.proposed, u);
+        let accepted = acceptance(normal, proposal);
+        if accepted.kept >= accepted.proposed {
+            return proposal;
+        }
+        let next = draws.get(1);
+        if next.x * accepted.proposed < accepted.kept {
+            return proposal;
+        }
+        own = next.yz();
+    }
+    own_direction(own, normal)
 }
 
 /// Bansal's rule.

@@ -13,10 +13,11 @@ use qtracer::Sampler;
 use qtracer::accel::Search;
 use qtracer::gpu::device::Gpu;
 use qtracer::gpu::key::KernelKey;
-use qtracer::guiding::octant::{octant_of, octant_shares};
+use qtracer::guiding::octant::{octant_of, octant_shares, octant_wholes};
 use qtracer::guiding::quadtree::{MAX_DEPTH, octant_coordinates};
 use qtracer::guiding::table::{CellPlace, NO_CELL, adaptive, octants};
 use qtracer::guiding::{GuideMode, GuideTable, LessonLayout, LessonSums};
+use qtracer::sampling::pdf_cosine;
 use qtracer::scene::compiled::{CompiledScene, KIND_DIFFUSE, Material, Uniforms};
 use qtracer::scene::shapes::Surface;
 use qtracer::transport::estimators::Estimators;
@@ -176,14 +177,16 @@ fn octants_have_the_same_densities_on_the_gpu() {
     let gpu = open_gpu();
     let kernel = (
         "import package::guiding::data::guide_rows;
-        import package::guiding::octant::{octant_of, octant_shares, of_octant};
-        import package::guiding::table::{cell_of, octants_density, octants_mean_radiance};",
+        import package::base::sampling::pdf_cosine;
+        import package::guiding::octant::{octant_of, octant_shares, octant_wholes, of_octant};
+        import package::guiding::table::{cell_of, octants_density, octants_radiance};",
         "let normal = bitcast<vec3<f32>>(a.xyz);
         let direction = bitcast<vec3<f32>>(b.xyz);
         let cell = cell_of(guide_rows[a.w]);
         let shares = octant_shares(normal);
-        let mean = octants_mean_radiance(cell, shares);
-        let density = octants_density(cell, normal, shares, mean, direction);
+        let mean = octants_radiance(cell, shares);
+        let proposed = octants_radiance(cell, octant_wholes(normal));
+        let density = octants_density(cell, mean, proposed, pdf_cosine(dot(normal, direction)), direction);
         let share = of_octant(shares, octant_of(direction));
         out0 = vec4<u32>(density.slot, bitcast<u32>(density.pdf), bitcast<u32>(share), bitcast<u32>(mean));",
     );
@@ -198,8 +201,10 @@ fn octants_have_the_same_densities_on_the_gpu() {
         asked.iter().zip(0..).map(|((_, n, d), i)| question(*n, learnt.row(i % 97), *d)).collect();
     let answers = ask(&gpu, GuideMode::Octant, kernel, &learnt.table, &questions);
     for ((cell, normal, direction), answer) in asked.iter().zip(&answers) {
-        let mean = octants::mean_radiance(cell, &octant_shares(*normal));
-        let expected = octants::density(cell, *normal, &octant_shares(*normal), mean, *direction);
+        let mean = octants::radiance(cell, &octant_shares(*normal));
+        let proposed = octants::radiance(cell, &octant_wholes(*normal));
+        let cosine = pdf_cosine(normal.dot(*direction));
+        let expected = octants::density(cell, mean, proposed, cosine, *direction);
         let share = octant_shares(*normal)[octant_of(*direction) as usize];
         let [pdf, gpu_share, gpu_mean] = [answer[1], answer[2], answer[3]].map(f32::from_bits);
         let what =

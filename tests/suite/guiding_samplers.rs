@@ -9,15 +9,16 @@ use crate::tables::*;
 use glam::{Vec3, Vec4Swizzles};
 use qtracer::Sampler;
 use qtracer::accel::Search;
-use qtracer::guiding::octant::{Draws, octant_of, octant_shares, pdf_in_octant, sample_in_octant};
+use qtracer::guiding::octant::{Draws, acceptance, octant_of, octant_shares, octant_wholes, propose_in_octant};
 use qtracer::guiding::table::{adaptive, bansal, octants};
 use qtracer::guiding::{GuideMode, LessonLayout, LessonSums};
 use qtracer::random::{SampleKey, sample4};
 use qtracer::sampling::pdf_cosine;
 use qtracer::scene::compiled::{CompiledScene, KIND_DIFFUSE, KIND_MIRROR, Material, Uniforms};
 use qtracer::scene::shapes::Surface;
-use qtracer::transport::guide::{Guidance, GuidePoint};
+use qtracer::transport::guide::{Guidance, GuidePoint, MOST_PROPOSED};
 use qtracer::transport::path::Transport;
+use std::f32::consts::FRAC_1_PI;
 
 /// Cells whose quadrature has the edges of octants and of all quadtree leaves between its points.
 fn compass() -> Cells {
@@ -67,50 +68,96 @@ fn normals() -> [Vec3; 6] {
     .map(Vec3::normalize)
 }
 
+/// Inside an octant, and only there, proposals have the density Σ max(0, n_i·ω_i)/(π·whole).
 #[test]
-fn directions_in_an_octant_follow_their_density() {
+fn proposals_in_an_octant_follow_their_density() {
     let (mut whole, mut cut) = (0, 0);
     for normal in normals() {
+        let wholes = octant_wholes(normal);
         for octant in (0..8).filter(|&octant| octant_shares(normal)[octant as usize] > 1e-3) {
-            let sample = |i| sample_in_octant(normal, octant, numbers(i).yz(), &draws(i));
-            let inside = |d: Vec3| octant_of(d) == octant;
-            let pdf = |d: Vec3| {
-                if inside(d) {
-                    pdf_in_octant(normal, octant, octant_shares(normal)[octant as usize], d)
-                } else {
-                    0.0
-                }
-            };
+            let sample = |i| propose_in_octant(normal, octant, numbers(i).yz());
+            let inside = |d: Vec3, pdf: f32| if octant_of(d) == octant { pdf } else { 0.0 };
+            let pdf = |d| inside(d, acceptance(normal, d).proposed * FRAC_1_PI / wholes[octant as usize]);
             follows(&format!("octant {octant} about {normal}"), sample, pdf);
             let is_cut = (normal * qtracer::guiding::octant::octant_signs(octant)).min_element() < 0.0;
             *if is_cut { &mut cut } else { &mut whole } += 1;
+            // Negative control: the cosine, which the horizon makes of them.
+            if is_cut && octant_shares(normal)[octant as usize] < 0.8 * wholes[octant as usize] {
+                let share = octant_shares(normal)[octant as usize];
+                does_not_follow("cosine", sample, |d| inside(d, pdf_cosine(normal.dot(d)) / share));
+            }
         }
     }
     assert!(whole >= 6 && cut >= 10, "{whole} whole octants, {cut} cut ones");
-    // Negative control: the product of cosine and octant, as if draws were repeated until one is above the horizon.
-    let (normal, octant) = (normals()[2], octant_of(Vec3::new(1.0, -1.0, -1.0)));
-    let sample = |i| sample_in_octant(normal, octant, numbers(i).yz(), &draws(i));
-    let share = octant_shares(normal)[octant as usize];
-    let product = |d: Vec3| if octant_of(d) == octant { pdf_cosine(normal.dot(d)) / share } else { 0.0 };
-    does_not_follow("exact product", sample, product);
 }
 
+/// What a proposal comes to is the integral of its density before it is made one: of positive terms of the cosine.
+#[test]
+fn proposals_of_octants_come_to_no_less_than_their_shares() {
+    for normal in normals() {
+        let (shares, wholes) = (octant_shares(normal), octant_wholes(normal));
+        for octant in 0..8 {
+            let (share, whole) = (shares[octant], wholes[octant]);
+            assert!(share <= whole + 1e-6, "{normal}, octant {octant}: {share} of {whole}");
+            let signs = qtracer::guiding::octant::octant_signs(octant as u32);
+            if (normal * signs).min_element() >= 0.0 {
+                assert!((share - whole).abs() < 1e-6, "{normal}, octant {octant}: {share} is not {whole}");
+            }
+        }
+        // Four octants lie on the positive side of each axis.
+        let total = wholes.iter().sum::<f32>();
+        assert!((total - normal.abs().element_sum()).abs() < 1e-6, "{normal}: {total}");
+    }
+}
+
+/// Octants alone, whatever their cell's trust: what they propose and the horizon keeps, the cosine lobe in place of the rest.
 #[test]
 fn octant_directions_follow_their_density() {
-    let learnt = learnt(GuideMode::Octant, 5);
+    let world = World::new(GuideMode::Octant, 5);
+    let transport = world.transport();
     for (i, normal) in normals().into_iter().enumerate() {
-        let (cell, _) = learnt.cell(i as u32);
-        let shares = octant_shares(normal);
-        let mean = octants::mean_radiance(&cell, &shares);
-        let sample = |i| octants::sample(&cell, normal, &shares, mean, numbers(i).yz(), &draws(i));
-        let pdf = |d| octants::density(&cell, normal, &shares, mean, d).pdf;
+        let point = GuidePoint { mixture: 1.0 - 1e-6, ..world.point(i as u32, normal, &diffuse()) };
+        let sample = |i| transport.guided_direction(&point, normal, numbers(i).yz(), &draws(i));
+        let cosine = |d: Vec3| pdf_cosine(normal.dot(d));
+        let pdf = |d| octants::density(&point.cell, point.mean, point.proposed, cosine(d), d).pdf;
         follows(&format!("octants about {normal}"), sample, pdf);
         // Negative control: 10 % more in one octant of those that matter.
         let most = (0..8)
-            .max_by_key(|&a| (cell.octants[a as usize] * octant_shares(normal)[a as usize] * 1e6) as u32);
+            .max_by_key(|&a| (point.cell.octants[a as usize] * octant_shares(normal)[a as usize] * 1e6) as u32);
         let wrong = |d| if Some(octant_of(d)) == most { 1.1 * pdf(d) } else { pdf(d) };
         does_not_follow("a tenth more", sample, wrong);
+        // And as if the horizon kept all.
+        if point.mean < 0.9 * point.proposed {
+            let kept_all = |d| octants::density(&point.cell, point.mean, point.mean, cosine(d), d).pdf;
+            does_not_follow("exact product", sample, kept_all);
+        }
     }
+}
+
+/// Where the horizon turns proposals down, more are made: as many directions follow the octants as were asked for, and no density
+/// is lower than the material's own leaves it.
+#[test]
+fn as_many_directions_are_guided_as_were_asked_for() {
+    let world = World::new(GuideMode::Octant, 9);
+    let transport = world.transport();
+    let (mut all, mut most) = (0, 0);
+    for (i, normal) in normals().into_iter().enumerate() {
+        let point = world.point(i as u32, normal, &diffuse());
+        let asked = point.cell.trust * world.learnt.table.uniforms.mixture;
+        let guided = point.mixture * point.mean / point.proposed;
+        assert!(guided <= asked + 1e-6 && point.mixture <= MOST_PROPOSED + 1e-6, "{normal}: {guided} for {asked}");
+        match point.mixture < 0.999 * MOST_PROPOSED {
+            true => assert!((guided - asked).abs() < 1e-5, "{normal}: {guided} for {asked}"),
+            false => most += 1,
+        }
+        all += 1;
+        for d in uniform_directions() {
+            let own = (1.0 - asked) * pdf_cosine(normal.dot(d));
+            let pdf = transport.guided_pdf(&point, normal, d);
+            assert!(pdf >= 0.999 * own, "{normal}: {pdf} towards {d}, below {own}");
+        }
+    }
+    assert!(most < all, "all are at the limit");
 }
 
 #[test]

@@ -7,7 +7,7 @@ use qtracer::film::BlockSum;
 use qtracer::gpu::key::KernelKey;
 use qtracer::gpu::link::{MODULES, link};
 use qtracer::gpu::stage::{GRID_WIDTH, Schedule, Stage, WORKGROUP};
-use qtracer::guiding::octant::OCTANT_DRAWS;
+use qtracer::transport::guide::MOST_PROPOSED;
 use qtracer::guiding::{
     GuideMode, GuideUniforms, Trail, Transition, commit, lessons, quadtree, state, table,
 };
@@ -467,7 +467,7 @@ fn constants_shared_with_the_kernels_are_equal() {
         ("CELL_TREE_WORDS", (size_of::<state::CellTrees>() / 4) as f64),
         // What one addition makes at most.
         ("LARGEST", lessons::fixed(f32::MAX, 1.0) as f64),
-        ("OCTANT_DRAWS", f64::from(OCTANT_DRAWS)),
+        ("MOST_PROPOSED", f64::from(MOST_PROPOSED)),
         ("BANSAL_DRAWS", f64::from(table::bansal::DRAWS)),
         ("LEAST_SURVIVAL", f64::from(LEAST_SURVIVAL)),
         ("BUDGET_SHIFT", f64::from(BUDGET_SHIFT)),
@@ -507,8 +507,8 @@ fn dimensions_of_all_events_of_a_path_are_different() {
     let guided = (0..64).flat_map(|bounce| (0..16).map(move |draw| dimension_guide(bounce, draw)));
     let dimensions: BTreeSet<u32> = events.chain(guided).chain([DIMENSION_CAMERA]).collect();
     assert_eq!(dimensions.len(), (2 + 16) * 64 + 1);
-    // An octant's draws and Bansal's stay within a bounce's numbers.
-    const { assert!(OCTANT_DRAWS <= 16 && table::bansal::DRAWS <= 16) };
+    // Bansal's draws stay within a bounce's numbers.
+    const { assert!(table::bansal::DRAWS <= 16) };
     // Every place has a seed of its own, bounces stay below the budget, and budgets below the bit that says who waits.
     const { assert!(MAX_SPLIT <= 1 << (32 - SEED_SHIFT) && 64 < 1 << BUDGET_SHIFT) };
     const { assert!(MAX_SPLIT << BUDGET_SHIFT < 1 << 31) };
