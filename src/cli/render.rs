@@ -117,7 +117,7 @@ fn state(renderer: &Renderer, job: &Job, elapsed: Duration) -> State {
         samples: renderer.samples(),
         elapsed,
         relative_error: match job.stop.needs_error() {
-            true => renderer.film().relative_error(),
+            true => renderer.relative_error(),
             false => f64::INFINITY,
         },
     }

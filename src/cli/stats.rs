@@ -54,7 +54,7 @@ impl Report {
             preparation_seconds: preparation.as_secs_f64(),
             wall_seconds,
             mpaths_per_second: engine.paths as f64 / 1e6 / wall_seconds.max(1e-9),
-            relative_error: film.relative_error(),
+            relative_error: renderer.relative_error(),
             engine,
         }
     }

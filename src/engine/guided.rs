@@ -124,6 +124,15 @@ impl Guided {
 
     /// `image` made of all passes by their weights.
     pub fn combine(&self, film: &Film, image: Image) -> Image {
+        self.combined(film).put_into(image)
+    }
+
+    /// The relative error of that image.
+    pub fn relative_error(&self, film: &Film) -> f64 {
+        self.combined(film).relative_error()
+    }
+
+    fn combined(&self, film: &Film) -> CombinedFilm {
         let estimates = rough_luminances(film, ESTIMATE_SAMPLES);
         let mut combined = self.combined.clone();
         if self.stratified && self.pass.gives_up() {
@@ -132,7 +141,7 @@ impl Guided {
                 film.pixels().first().map_or(0, |pixel| pixel.count).saturating_sub(u64::from(earlier));
             combined.fade(faded(earlier, later.try_into().unwrap_or(u32::MAX)));
         }
-        combined.put_into(image, film, &estimates)
+        combined.with_news(film, &estimates)
     }
 
     /// What was learnt so far.

@@ -184,19 +184,39 @@ fn earlier_samples_fade_by_how_many_follow() {
     assert_eq!(faded(0, 100), 0.0);
 }
 
+/// 40 samples with a guide, on trial or not.
+fn rendered(name: &str, trial: bool) -> Renderer {
+    let path = format!("{}/scenes/{name}.toml", env!("CARGO_MANIFEST_DIR"));
+    let scene = Scene::load(path).expect("the scene loads");
+    let guide = GuideOptions { mode: GuideMode::Adaptive, trial, ..Default::default() };
+    let options = RenderOptions { guide, size: Some((16, 12)), ..RenderOptions::cpu() };
+    let mut renderer = Renderer::new(&scene, options).expect("it starts");
+    while renderer.samples() < 40 {
+        renderer.step(40 - renderer.samples()).expect("it renders");
+    }
+    renderer
+}
+
+/// Of the sum by weights, not of the film's plain one.
+#[test]
+fn the_error_of_a_render_is_that_of_its_image() {
+    let renderer = rendered("cornell-box", false);
+    let image = renderer.image();
+    let errors = image.standard_error.expect("it has errors");
+    let squares = image.rgb.as_flattened().iter().zip(errors.as_flattened());
+    let mean: f64 = squares.map(|(v, e)| f64::from(e * e) / (f64::from(v * v) + 0.01)).sum::<f64>()
+        / (3.0 * errors.len() as f64);
+    let (found, film) = (renderer.relative_error(), renderer.film().relative_error());
+    assert!((found / mean.sqrt() - 1.0).abs() < 1e-4, "{found} for {}", mean.sqrt());
+    assert!((film / found - 1.0).abs() > 1e-2, "{film}, that of the film, for {found}");
+}
+
 /// Plain samples that turn out to suffice are one pass with what follows: the image is the film's plain mean. With a guide it is
 /// not, since passes weigh by their noise.
 #[test]
 fn a_prelude_that_goes_on_is_one_pass() {
-    let path = |name: &str| format!("{}/scenes/{name}.toml", env!("CARGO_MANIFEST_DIR"));
     let distance = |name: &str, trial: bool| {
-        let scene = Scene::load(path(name)).expect("the scene loads");
-        let guide = GuideOptions { mode: GuideMode::Adaptive, trial, ..Default::default() };
-        let options = RenderOptions { guide, size: Some((16, 12)), ..RenderOptions::cpu() };
-        let mut renderer = Renderer::new(&scene, options).expect("it starts");
-        while renderer.samples() < 40 {
-            renderer.step(40 - renderer.samples()).expect("it renders");
-        }
+        let renderer = rendered(name, trial);
         let (image, plain) = (renderer.image().rgb, renderer.film().mean());
         let pairs = image.as_flattened().iter().zip(plain.as_flattened());
         pairs.map(|(a, b)| (a - b).abs() / b.abs().max(1e-6)).fold(0.0f32, f32::max)

@@ -115,6 +115,15 @@ impl Renderer {
         &self.film
     }
 
+    /// Relative standard error of [`Renderer::image`], as [`Film::relative_error`] defines it: where passes are weighed, that of the
+    /// sum by their weights.
+    pub fn relative_error(&self) -> f64 {
+        match &self.guided {
+            Some(guided) => guided.relative_error(&self.film),
+            None => self.film.relative_error(),
+        }
+    }
+
     /// The image so far with its standard errors; metadata says scene, seed, samples, engine and version.
     pub fn image(&self) -> Image {
         let mut image = self.film.image();

@@ -188,14 +188,7 @@ impl Film {
     /// Relative standard error of the image: √ mean over pixels and channels of se² / (mean² + ε), ε = 0.01, the
     /// expectation of √relMSE as `compare` takes it. Infinite below 2 samples a pixel and for an image that is black.
     pub fn relative_error(&self) -> f64 {
-        const EPSILON: f64 = 0.01;
-        let square = |pixel: &PixelSum| -> f64 {
-            let (mean, error) = (pixel.mean(), pixel.standard_error());
-            (0..3).map(|c| error[c] * error[c] / (mean[c] * mean[c] + EPSILON)).sum::<f64>() / 3.0
-        };
-        let sum: f64 = self.pixels.iter().map(square).sum();
-        let lit = self.pixels.iter().any(|pixel| pixel.sum != [0.0; 3]);
-        if lit && sum.is_finite() { (sum / self.pixels.len() as f64).sqrt() } else { f64::INFINITY }
+        relative_error(self.pixels.iter().map(|pixel| (pixel.mean(), pixel.standard_error())))
     }
 
     /// The finished image, with errors and sample counts; features and metadata are the caller's to add.
@@ -209,6 +202,19 @@ impl Film {
     fn map<T: Send>(&self, f: impl Fn(&PixelSum) -> T + Sync + Send) -> Vec<T> {
         self.pixels.par_iter().with_min_len(PARALLEL_PIXELS).map(f).collect()
     }
+}
+
+/// √ mean over pixels and channels of se² / (mean² + ε) of pixels' means and standard errors; infinite where one is unknown, and
+/// for an image that is black.
+pub(super) fn relative_error(pixels: impl Iterator<Item = ([f64; 3], [f64; 3])>) -> f64 {
+    const EPSILON: f64 = 0.01;
+    let (mut sum, mut count, mut lit) = (0.0, 0u64, false);
+    for (mean, error) in pixels {
+        sum += (0..3).map(|c| error[c] * error[c] / (mean[c] * mean[c] + EPSILON)).sum::<f64>() / 3.0;
+        count += 1;
+        lit |= mean != [0.0; 3];
+    }
+    if lit && sum.is_finite() { (sum / count as f64).sqrt() } else { f64::INFINITY }
 }
 
 #[cfg(test)]

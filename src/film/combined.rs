@@ -1,6 +1,7 @@
 //! Passes of different noise put together: each is unbiased, so any weights that do not depend on its own noise keep the
 //! mean right, and the inverse of its variance makes the sum least noisy.
 
+use super::accumulate::relative_error;
 use super::{Film, Image, PixelSum, luminance};
 use rayon::prelude::*;
 
@@ -11,7 +12,7 @@ const JUDGED_SAMPLES: u64 = 2;
 const LEAST_VARIANCE: f64 = 1e-9;
 /// A relative variance that any real one is below.
 const UNKNOWN: f64 = 1e12;
-/// Luminance, relative to the image's mean, below which errors of pixels are seen as they are instead of relative to the pixel: else
+/// Luminance, relative to the mean of the pixels of its colour, below which errors of pixels are seen as they are instead of relative to the pixel: else
 /// a few pixels that are nearly black would tell how noisy passes are. With its square as ε this is relMSE.
 const DARK: f64 = 0.2;
 
@@ -49,8 +50,7 @@ impl CombinedFilm {
     /// Ends a pass: what `film` got since the last one. `estimates` are rough luminances of the pixels, to judge errors by.
     ///
     /// A pixel's weight is the inverse of the pass's mean relative variance, estimated from the pixels of the other colour
-    /// of a checkerboard: those are independent of the pixel's own noise, but for the estimates, whose windows overlap (a bias of
-    /// some per cent in images of 8×6 pixels, of a thousandth in 32×24). A sample counts at least as much as one of any earlier
+    /// of a checkerboard: those are independent of the pixel's own noise. A sample counts at least as much as one of any earlier
     /// pass, since learning makes passes better, and a short pass that missed what is rare only seems less noisy.
     pub fn end_pass(&mut self, film: &Film, estimates: &[f32]) {
         self.judge(film, estimates);
@@ -101,11 +101,21 @@ impl CombinedFilm {
         film.pixels().iter().zip(&self.before).any(|(now, before)| now.count > before.count)
     }
 
-    /// `image` with the mean of all passes, the one on its way included, and its standard error.
-    pub fn put_into(mut self, image: Image, film: &Film, estimates: &[f32]) -> Image {
+    /// All passes, the one on its way included.
+    pub fn with_news(mut self, film: &Film, estimates: &[f32]) -> CombinedFilm {
         if self.has_news(film) {
             self.end_pass(film, estimates);
         }
+        self
+    }
+
+    /// What [`Film::relative_error`] is of a film.
+    pub fn relative_error(&self) -> f64 {
+        relative_error(self.pixels.iter().map(|pixel| (pixel.combined_mean(), pixel.standard_error())))
+    }
+
+    /// `image` with the mean of all passes and its standard error.
+    pub fn put_into(&self, image: Image) -> Image {
         let map = |value: fn(&CombinedPixel) -> [f64; 3]| -> Vec<[f32; 3]> {
             self.pixels.par_iter().with_min_len(1 << 12).map(|p| value(p).map(|v| v as f32)).collect()
         };
@@ -158,8 +168,9 @@ fn relative_variance(
     estimates: &[f32],
     width: usize,
 ) -> [Option<f64>; 2] {
-    let mean = estimates.iter().map(|&estimate| f64::from(estimate)).sum::<f64>() / estimates.len() as f64;
-    let epsilon = (DARK * mean).powi(2);
+    let luminances: Vec<Vec<f64>> =
+        estimates.par_chunks(width).map(|row| row.iter().map(|&estimate| estimate.into()).collect()).collect();
+    let epsilon = colour_means(&luminances).map(|mean| (DARK * mean).powi(2));
     let rows = now.par_chunks(width).zip(before.par_chunks(width)).zip(estimates.par_chunks(width));
     let sums: Vec<[[f64; 2]; 2]> = rows
         .enumerate()
@@ -170,7 +181,8 @@ fn relative_variance(
                 if pass.count >= JUDGED_SAMPLES && estimate > 0.0 {
                     let variance: f64 = pass.standard_error().iter().map(|e| e * e).sum();
                     let [sum, count] = &mut sums[colour(x, y)];
-                    *sum += variance * pass.count as f64 / (3.0 * (f64::from(estimate).powi(2) + epsilon));
+                    let scale = f64::from(estimate).powi(2) + epsilon[colour(x, y)];
+                    *sum += variance * pass.count as f64 / (3.0 * scale);
                     *count += 1.0;
                 }
             }
@@ -184,43 +196,66 @@ fn relative_variance(
     })
 }
 
-/// Rough luminances of the pixels: the mean over a square around each, wide enough to hold `samples` samples.
+/// Rough luminances of the pixels: the mean over those of its own colour in a square around each, wide enough to hold `samples`
+/// samples. Of its own colour, so that what is judged by them of one colour does not depend on the other's noise.
 pub fn rough_luminances(film: &Film, samples: f64) -> Vec<f32> {
-    /// Least estimate, relative to the image's mean.
+    /// Least estimate, relative to the mean of the image's pixels of that colour.
     const DARKEST: f64 = 1e-3;
     let (width, height) = (film.width() as usize, film.height() as usize);
     let have = film.pixels().first().map_or(1, |p| p.count.max(1)) as f64;
-    let radius = (((samples / have).sqrt() - 1.0) / 2.0).ceil().clamp(0.0, 16.0) as usize;
+    // Half of a square's pixels are of one colour.
+    let side = if have < samples { (2.0 * samples / have).sqrt() } else { 1.0 };
+    let radius = ((side - 1.0) / 2.0).ceil().min(16.0) as usize;
+    let columns: Vec<[f64; 2]> = window_sums(&vec![1.0; width], radius);
     // Sums over the window within each row, then over rows.
-    let (rows, totals): (Vec<Vec<f64>>, Vec<f64>) =
-        film.pixels().par_chunks(width).map(|row| window_sums(row, radius)).unzip();
-    let darkest = DARKEST * totals.iter().sum::<f64>() / (width * height) as f64;
+    let luminances = |row: &[PixelSum]| row.iter().map(|pixel| luminance(pixel.mean())).collect();
+    let luminances: Vec<Vec<f64>> = film.pixels().par_chunks(width).map(luminances).collect();
+    let rows: Vec<_> = luminances.par_iter().map(|row| window_sums(row, radius)).collect();
+    let darkest = colour_means(&luminances).map(|mean| DARKEST * mean);
     let mut estimates = vec![0.0; width * height];
     estimates.par_chunks_mut(width).enumerate().for_each(|(y, estimates)| {
-        let window = &rows[y.saturating_sub(radius)..(y + radius + 1).min(height)];
-        let mut sums = vec![0.0; width];
-        for row in window {
-            sums.iter_mut().zip(row).for_each(|(sum, value)| *sum += value);
+        let mut sums = vec![[0.0; 2]; width];
+        for row in y.saturating_sub(radius)..(y + radius + 1).min(height) {
+            for (x, [sum, count]) in sums.iter_mut().enumerate() {
+                // Whether the row's pixels of this one's colour are in odd columns.
+                let odd = colour(x, y + row);
+                *sum += rows[row][x][odd];
+                *count += columns[x][odd];
+            }
         }
-        for (x, (estimate, sum)) in estimates.iter_mut().zip(sums).enumerate() {
-            let columns = (x + radius + 1).min(width) - x.saturating_sub(radius);
-            *estimate = (sum / (columns * window.len()) as f64).max(darkest) as f32;
+        for (x, (estimate, [sum, count])) in estimates.iter_mut().zip(sums).enumerate() {
+            *estimate = (sum / count).max(darkest[colour(x, y)]) as f32;
         }
     });
     estimates
 }
 
-/// For each pixel of a row the sum of the luminances of those at most `radius` away, and the sum of all.
-fn window_sums(row: &[PixelSum], radius: usize) -> (Vec<f64>, f64) {
-    let mut below = Vec::with_capacity(row.len() + 1);
-    below.push(0.0);
-    for pixel in row {
-        below.push(below[below.len() - 1] + luminance(pixel.mean()));
+/// For each place in a row the sums of the values at even and at odd places that are at most `radius` away.
+fn window_sums(row: &[f64], radius: usize) -> Vec<[f64; 2]> {
+    let mut below = vec![[0.0; 2]];
+    for (x, value) in row.iter().enumerate() {
+        let mut sums = below[x];
+        sums[x % 2] += value;
+        below.push(sums);
     }
-    let within =
-        |x: usize, radius: usize| below[(x + radius + 1).min(row.len())] - below[x.saturating_sub(radius)];
-    let sums = (0..row.len()).map(|x| within(x, radius)).collect();
-    (sums, (0..row.len()).map(|x| within(x, 0)).sum())
+    let within = |x: usize| {
+        let (from, to) = (below[x.saturating_sub(radius)], below[(x + radius + 1).min(row.len())]);
+        [to[0] - from[0], to[1] - from[1]]
+    };
+    (0..row.len()).map(within).collect()
+}
+
+/// For each colour of the checkerboard the mean of its pixels; 0 where it has none.
+fn colour_means(rows: &[Vec<f64>]) -> [f64; 2] {
+    let mut sums = [[0.0; 2]; 2];
+    for (y, row) in rows.iter().enumerate() {
+        for (x, value) in row.iter().enumerate() {
+            let [sum, count] = &mut sums[colour(x, y)];
+            *sum += value;
+            *count += 1.0;
+        }
+    }
+    sums.map(|[sum, count]| if count > 0.0 { sum / count } else { 0.0 })
 }
 
 #[cfg(test)]
@@ -253,7 +288,7 @@ mod tests {
         let judged = |dark: f32| {
             let mut film = Film::new(4, 1);
             let mut combined = CombinedFilm::new(&film);
-            let values = [1.0, dark, 1.0, dark];
+            let values = [1.0, 1.0, dark, dark];
             for (pixel, value) in film.pixels_mut().iter_mut().zip(values) {
                 for sample in 0..64 {
                     // The bright ones scatter by a tenth, the dark ones by their threefold.
@@ -268,6 +303,68 @@ mod tests {
         // Half of 0.01, more or less, in the one case; half of 9, less by epsilon, in the other.
         assert!(dark < 0.05, "{dark}");
         assert!((3.0..4.6).contains(&dim), "{dim}: what is seen counts");
+    }
+
+    /// Whatever pixels of one colour of the checkerboard saw, those of the other weigh their passes alike.
+    #[test]
+    fn weights_do_not_depend_on_a_pixels_own_noise() {
+        let weights = |own: f32, others: f32| {
+            let mut film = Film::new(8, 6);
+            let mut combined = CombinedFilm::new(&film);
+            for pass in 1..3u32 {
+                for (i, pixel) in film.pixels_mut().iter_mut().enumerate() {
+                    let scale = if colour(i % 8, i / 8) == 0 { own } else { others };
+                    (0..16 * pass).for_each(|sample| pixel.add([scale * (sample * (i as u32 + 3) % 7) as f32; 3].into()));
+                }
+                combined.end_pass(&film, &rough_luminances(&film, 64.0));
+            }
+            combined.pixels[0].weight
+        };
+        assert_eq!(weights(1.0, 1.0), weights(100.0, 1.0));
+        // Negative control: they do depend on the others'. Scaled as a whole these would be as noisy as before.
+        let askew = |i: u32| weights(1.0, if i == 0 { 1.0 } else { 0.0 });
+        assert_ne!(askew(0), askew(1));
+    }
+
+    /// Small images of three passes, most of whose light is rare, have the right mean; weighed by their pixels' own noise they are
+    /// darker. α = 1e-4.
+    #[test]
+    fn small_images_of_several_passes_have_the_right_mean() {
+        const IMAGES: u32 = 2000;
+        let mut state = 1u64;
+        let mut chance = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 40) as f32 / (1 << 24) as f32
+        };
+        let mut mean_of_means = |by_own_noise: bool| -> (f64, f64) {
+            let found: Vec<f64> = (0..IMAGES)
+                .map(|_| {
+                    let mut film = Film::new(8, 6);
+                    let mut combined = CombinedFilm::new(&film);
+                    for samples in [16, 32, 64] {
+                        for pixel in film.pixels_mut() {
+                            // Mean 1: a ninth part is seen by every sample, the rest by one in 512.
+                            let value = |rare: bool| 1.0 / 9.0 + if rare { 512.0 * 8.0 / 9.0 } else { 0.0 };
+                            (0..samples).for_each(|_| pixel.add([value(chance() < 1.0 / 512.0); 3].into()));
+                        }
+                        combined.judge(&film, &rough_luminances(&film, 512.0));
+                        if by_own_noise {
+                            combined.variance.reverse();
+                        }
+                        combined.add_pass(&film);
+                    }
+                    let mean = |pixel: &CombinedPixel| pixel.combined_mean()[0];
+                    combined.pixels.iter().map(mean).sum::<f64>() / 48.0
+                })
+                .collect();
+            let mean = found.iter().sum::<f64>() / f64::from(IMAGES);
+            let variance = found.iter().map(|m| (m - mean).powi(2)).sum::<f64>() / f64::from(IMAGES - 1);
+            (mean, (variance / f64::from(IMAGES)).sqrt())
+        };
+        let (mean, error) = mean_of_means(false);
+        assert!((mean - 1.0).abs() < 3.9 * error, "{mean} ± {error}");
+        let (mean, error) = mean_of_means(true);
+        assert!(1.0 - mean > 5.0 * error, "{mean} ± {error}, weighed by its own noise");
     }
 
     /// Of a pass without noise that is known; of one that saw nothing, it is not.
