@@ -79,10 +79,10 @@ struct CostModel {
 
 impl CostModel {
     /// From measured times per ray: on an H100 0.034 ns and 0.84 ps per shape test, 0.025 ns for the table when nothing more is
-    /// learnt (0.022 to 0.03 on six scenes); on a CPU 60 ns, 3 ns and 240 ns.
+    /// learnt (0.022 to 0.03 on six scenes); on two cores of a CPU 147 ns, 0.9 ns and 130 ns (docs/GUIDING.md, Cost).
     fn new(engine: EngineKind, tests: usize) -> CostModel {
         let (test, table) = match engine {
-            EngineKind::Cpu => (0.05, 4.0),
+            EngineKind::Cpu => (0.006, 0.9),
             _ => (0.025, 0.75),
         };
         let plain = 1.0 + test * tests as f64;
