@@ -8,7 +8,7 @@ pub enum Goal {
     Samples,
     /// This long, not counting preparation and writing.
     Time(Duration),
-    /// This relative standard error ([`qtracer::Film::relative_error`]) or less.
+    /// This relative standard error ([`qtracer::Renderer::relative_error`]) or less.
     Error(f64),
 }
 

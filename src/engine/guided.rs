@@ -124,24 +124,22 @@ impl Guided {
 
     /// `image` made of all passes by their weights.
     pub fn combine(&self, film: &Film, image: Image) -> Image {
-        self.combined(film).put_into(image)
+        self.combined.put_into(image, film, &rough_luminances(film, ESTIMATE_SAMPLES), self.share(film))
     }
 
     /// The relative error of that image.
     pub fn relative_error(&self, film: &Film) -> f64 {
-        self.combined(film).relative_error()
+        self.combined.relative_error(film, &rough_luminances(film, ESTIMATE_SAMPLES), self.share(film))
     }
 
-    fn combined(&self, film: &Film) -> CombinedFilm {
-        let estimates = rough_luminances(film, ESTIMATE_SAMPLES);
-        let mut combined = self.combined.clone();
-        if self.stratified && self.pass.gives_up() {
-            let earlier = self.spent.0;
-            let later =
-                film.pixels().first().map_or(0, |pixel| pixel.count).saturating_sub(u64::from(earlier));
-            combined.fade(faded(earlier, later.try_into().unwrap_or(u32::MAX)));
+    /// What passes that have ended count of what their noise says.
+    fn share(&self, film: &Film) -> f64 {
+        if !(self.stratified && self.pass.gives_up()) {
+            return 1.0;
         }
-        combined.with_news(film, &estimates)
+        let earlier = self.spent.0;
+        let later = film.pixels().first().map_or(0, |pixel| pixel.count).saturating_sub(u64::from(earlier));
+        faded(earlier, later.try_into().unwrap_or(u32::MAX))
     }
 
     /// What was learnt so far.

@@ -188,7 +188,7 @@ impl Film {
     /// Relative standard error of the image: √ mean over pixels and channels of se² / (mean² + ε), ε = 0.01, the
     /// expectation of √relMSE as `compare` takes it. Infinite below 2 samples a pixel and for an image that is black.
     pub fn relative_error(&self) -> f64 {
-        relative_error(self.pixels.iter().map(|pixel| (pixel.mean(), pixel.standard_error())))
+        relative_error(self.width, self.height, |i| (self.pixels[i].mean(), self.pixels[i].standard_error()))
     }
 
     /// The finished image, with errors and sample counts; features and metadata are the caller's to add.
@@ -204,17 +204,26 @@ impl Film {
     }
 }
 
-/// √ mean over pixels and channels of se² / (mean² + ε) of pixels' means and standard errors; infinite where one is unknown, and
-/// for an image that is black.
-pub(super) fn relative_error(pixels: impl Iterator<Item = ([f64; 3], [f64; 3])>) -> f64 {
+/// √ mean over pixels and channels of se² / (mean² + ε) of the pixels' means and standard errors; infinite where one is unknown, and
+/// for an image that is black. Added up row by row, so that it does not depend on the number of threads.
+pub(super) fn relative_error(
+    width: u32,
+    height: u32,
+    pixel: impl Fn(usize) -> ([f64; 3], [f64; 3]) + Sync,
+) -> f64 {
     const EPSILON: f64 = 0.01;
-    let (mut sum, mut count, mut lit) = (0.0, 0u64, false);
-    for (mean, error) in pixels {
-        sum += (0..3).map(|c| error[c] * error[c] / (mean[c] * mean[c] + EPSILON)).sum::<f64>() / 3.0;
-        count += 1;
-        lit |= mean != [0.0; 3];
-    }
-    if lit && sum.is_finite() { (sum / count as f64).sqrt() } else { f64::INFINITY }
+    let (width, height) = (width as usize, height as usize);
+    let row = |y: usize| {
+        (y * width..(y + 1) * width).fold((0.0, false), |(sum, lit), i| {
+            let (mean, error) = pixel(i);
+            let squares = (0..3).map(|c| error[c] * error[c] / (mean[c] * mean[c] + EPSILON));
+            (sum + squares.sum::<f64>() / 3.0, lit || mean != [0.0; 3])
+        })
+    };
+    let rows: Vec<(f64, bool)> = (0..height).into_par_iter().map(row).collect();
+    let sum: f64 = rows.iter().map(|row| row.0).sum();
+    let lit = rows.iter().any(|row| row.1);
+    if lit && sum.is_finite() { (sum / (width * height) as f64).sqrt() } else { f64::INFINITY }
 }
 
 #[cfg(test)]

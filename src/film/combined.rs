@@ -50,7 +50,8 @@ impl CombinedFilm {
     /// Ends a pass: what `film` got since the last one. `estimates` are rough luminances of the pixels, to judge errors by.
     ///
     /// A pixel's weight is the inverse of the pass's mean relative variance, estimated from the pixels of the other colour
-    /// of a checkerboard: those are independent of the pixel's own noise. A sample counts at least as much as one of any earlier
+    /// of a checkerboard: those are independent of the pixel's own noise. (An image of one pixel has no other: there, passes weigh
+    /// by their samples.) A sample counts at least as much as one of any earlier
     /// pass, since learning makes passes better, and a short pass that missed what is rare only seems less noisy.
     pub fn end_pass(&mut self, film: &Film, estimates: &[f32]) {
         self.judge(film, estimates);
@@ -59,9 +60,8 @@ impl CombinedFilm {
 
     /// Adds what `film` got since the last pass ended, by the noise that it was judged to have.
     pub fn add_pass(&mut self, film: &Film) {
-        let width = film.width() as usize;
-        let variance = [0, 1].map(|c| self.variance[c].min(self.least[c]));
-        self.least = variance;
+        self.least = self.weighing(self.variance);
+        let (width, variance) = (film.width() as usize, self.least);
         let rows = self.pixels.par_chunks_mut(width).zip(self.before.par_chunks_mut(width));
         rows.zip(film.pixels().par_chunks(width)).enumerate().for_each(|(y, ((pixels, before), now))| {
             for (x, ((pixel, before), now)) in pixels.iter_mut().zip(before).zip(now).enumerate() {
@@ -71,53 +71,44 @@ impl CombinedFilm {
         });
     }
 
-    /// Has all passes so far count `share` of what they counted.
-    pub fn fade(&mut self, share: f64) {
-        for pixel in &mut self.pixels {
-            pixel.mean = pixel.mean.map(|mean| share * mean);
-            pixel.variance = pixel.variance.map(|variance| share * share * variance);
-            pixel.weight *= share;
+    /// What a pass of that variance is weighed by.
+    fn weighing(&self, variance: [f64; 2]) -> [f64; 2] {
+        match self.pixels.len() {
+            1 => [1.0; 2],
+            _ => [0, 1].map(|c| variance[c].min(self.least[c])),
         }
     }
 
     /// Finds the variance of the pass on its way; that of the last pass stands in while there are too few samples to tell.
     pub fn judge(&mut self, film: &Film, estimates: &[f32]) {
+        self.variance = self.judged(film, estimates);
+    }
+
+    fn judged(&self, film: &Film, estimates: &[f32]) -> [f64; 2] {
         let passed = |(now, before): (&PixelSum, &PixelSum)| now.count - before.count;
-        if film.pixels().iter().zip(&self.before).next().map_or(0, passed) >= JUDGED_SAMPLES {
-            let variance = relative_variance(film.pixels(), &self.before, estimates, film.width() as usize);
-            // An image of one pixel has one colour only.
-            let found = [0, 1].map(|c| variance[c].or(variance[1 - c]));
-            self.variance = [0, 1].map(|c| found[c].map_or(self.variance[c], |v| v.max(LEAST_VARIANCE)));
+        if film.pixels().iter().zip(&self.before).next().map_or(0, passed) < JUDGED_SAMPLES {
+            return self.variance;
         }
+        let found = relative_variance(film.pixels(), &self.before, estimates, film.width() as usize);
+        [0, 1].map(|c| found[c].map_or(self.variance[c], |v| v.max(LEAST_VARIANCE)))
     }
 
-    /// Relative variance of a single sample in the last pass.
+    /// Relative variance of a single sample in the last pass, by what is known of it.
     pub fn variance(&self) -> f64 {
-        0.5 * (self.variance[0] + self.variance[1])
-    }
-
-    /// Whether any pixel got samples since the last pass ended.
-    fn has_news(&self, film: &Film) -> bool {
-        film.pixels().iter().zip(&self.before).any(|(now, before)| now.count > before.count)
-    }
-
-    /// All passes, the one on its way included.
-    pub fn with_news(mut self, film: &Film, estimates: &[f32]) -> CombinedFilm {
-        if self.has_news(film) {
-            self.end_pass(film, estimates);
+        match self.variance.map(|variance| variance < UNKNOWN) {
+            [true, false] => self.variance[0],
+            [false, true] => self.variance[1],
+            _ => 0.5 * (self.variance[0] + self.variance[1]),
         }
-        self
     }
 
-    /// What [`Film::relative_error`] is of a film.
-    pub fn relative_error(&self) -> f64 {
-        relative_error(self.pixels.iter().map(|pixel| (pixel.combined_mean(), pixel.standard_error())))
-    }
-
-    /// `image` with the mean of all passes and its standard error.
-    pub fn put_into(&self, image: Image) -> Image {
+    /// `image` with the mean of all passes, the one on its way included, and its standard error. Those that have ended count `share`
+    /// of what they counted.
+    pub fn put_into(&self, image: Image, film: &Film, estimates: &[f32], share: f64) -> Image {
+        let pixel = self.pixels_with(film, estimates, share);
         let map = |value: fn(&CombinedPixel) -> [f64; 3]| -> Vec<[f32; 3]> {
-            self.pixels.par_iter().with_min_len(1 << 12).map(|p| value(p).map(|v| v as f32)).collect()
+            let pixels = (0..self.pixels.len()).into_par_iter().with_min_len(1 << 12);
+            pixels.map(|i| value(&pixel(i)).map(|v| v as f32)).collect()
         };
         Image {
             rgb: map(CombinedPixel::combined_mean),
@@ -125,9 +116,38 @@ impl CombinedFilm {
             ..image
         }
     }
+
+    /// What [`Film::relative_error`] is of a film, of that image.
+    pub fn relative_error(&self, film: &Film, estimates: &[f32], share: f64) -> f64 {
+        let pixel = self.pixels_with(film, estimates, share);
+        relative_error(film.width(), film.height(), |i| {
+            let pixel = pixel(i);
+            (pixel.combined_mean(), pixel.standard_error())
+        })
+    }
+
+    /// Pixels by number, with what `film` got since the last pass ended.
+    fn pixels_with(&self, film: &Film, estimates: &[f32], share: f64) -> impl Fn(usize) -> CombinedPixel {
+        let variance = self.weighing(self.judged(film, estimates));
+        let width = film.width() as usize;
+        move |i| {
+            let mut pixel = self.pixels[i].faded(share);
+            pixel.add(&film.pixels()[i].since(&self.before[i]), variance[1 - colour(i % width, i / width)]);
+            pixel
+        }
+    }
 }
 
 impl CombinedPixel {
+    /// Of which all counts `share` of what it counted.
+    fn faded(&self, share: f64) -> CombinedPixel {
+        CombinedPixel {
+            mean: self.mean.map(|mean| share * mean),
+            variance: self.variance.map(|variance| share * share * variance),
+            weight: share * self.weight,
+        }
+    }
+
     /// Adds what a pass found, whose single samples have about that `variance`.
     fn add(&mut self, pass: &PixelSum, variance: f64) {
         // A single sample says nothing of its error: it waits for a second, unless it is all there is.
@@ -168,8 +188,10 @@ fn relative_variance(
     estimates: &[f32],
     width: usize,
 ) -> [Option<f64>; 2] {
-    let luminances: Vec<Vec<f64>> =
-        estimates.par_chunks(width).map(|row| row.iter().map(|&estimate| estimate.into()).collect()).collect();
+    let luminances: Vec<Vec<f64>> = estimates
+        .par_chunks(width)
+        .map(|row| row.iter().map(|&estimate| estimate.into()).collect())
+        .collect();
     let epsilon = colour_means(&luminances).map(|mean| (DARK * mean).powi(2));
     let rows = now.par_chunks(width).zip(before.par_chunks(width)).zip(estimates.par_chunks(width));
     let sums: Vec<[[f64; 2]; 2]> = rows
@@ -262,8 +284,9 @@ fn colour_means(rows: &[Vec<f64>]) -> [f64; 2] {
 mod tests {
     use super::*;
 
-    /// A film of two pixels in which pass after pass, as many samples each, brought these values.
-    fn combined(passes: &[(u32, f32)], faded_after: Option<usize>) -> (Film, CombinedFilm) {
+    /// A film of two pixels in which pass after pass, as many samples each, brought these values, and the combination of those of them
+    /// that have ended.
+    fn combined(passes: &[(u32, f32)], ended: usize) -> (Film, CombinedFilm) {
         let mut film = Film::new(2, 1);
         let mut combined = CombinedFilm::new(&film);
         for (i, &(samples, value)) in passes.iter().enumerate() {
@@ -274,9 +297,8 @@ mod tests {
                     pixel.add([value * scatter; 3].into());
                 }
             }
-            combined.end_pass(&film, &[1.0; 2]);
-            if faded_after == Some(i) {
-                combined.fade(0.125);
+            if i < ended {
+                combined.end_pass(&film, &[1.0; 2]);
             }
         }
         (film, combined)
@@ -314,7 +336,9 @@ mod tests {
             for pass in 1..3u32 {
                 for (i, pixel) in film.pixels_mut().iter_mut().enumerate() {
                     let scale = if colour(i % 8, i / 8) == 0 { own } else { others };
-                    (0..16 * pass).for_each(|sample| pixel.add([scale * (sample * (i as u32 + 3) % 7) as f32; 3].into()));
+                    (0..16 * pass).for_each(|sample| {
+                        pixel.add([scale * (sample * (i as u32 + 3) % 7) as f32; 3].into())
+                    });
                 }
                 combined.end_pass(&film, &rough_luminances(&film, 64.0));
             }
@@ -326,26 +350,27 @@ mod tests {
         assert_ne!(askew(0), askew(1));
     }
 
-    /// Small images of three passes, most of whose light is rare, have the right mean; weighed by their pixels' own noise they are
-    /// darker. α = 1e-4.
+    /// Small images of three passes, whose light is mostly or all rare, have the right mean; weighed by their pixels' own noise they
+    /// have not. α = 1e-4 each.
     #[test]
     fn small_images_of_several_passes_have_the_right_mean() {
-        const IMAGES: u32 = 2000;
         let mut state = 1u64;
         let mut chance = || {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             (state >> 40) as f32 / (1 << 24) as f32
         };
-        let mut mean_of_means = |by_own_noise: bool| -> (f64, f64) {
-            let found: Vec<f64> = (0..IMAGES)
+        // The mean over images, whose light is 1, and its standard error. `always` of it is seen by every sample, the rest by few.
+        let mut mean_of_means = |width: u32, height: u32, always: f32, by_own_noise: bool| {
+            let (rarity, images) = (if always > 0.0 { 512.0 } else { 256.0 }, 48_000 / (width * height));
+            let found: Vec<f64> = (0..images)
                 .map(|_| {
-                    let mut film = Film::new(8, 6);
+                    let mut film = Film::new(width, height);
                     let mut combined = CombinedFilm::new(&film);
                     for samples in [16, 32, 64] {
                         for pixel in film.pixels_mut() {
-                            // Mean 1: a ninth part is seen by every sample, the rest by one in 512.
-                            let value = |rare: bool| 1.0 / 9.0 + if rare { 512.0 * 8.0 / 9.0 } else { 0.0 };
-                            (0..samples).for_each(|_| pixel.add([value(chance() < 1.0 / 512.0); 3].into()));
+                            let value =
+                                |rare: bool| always + if rare { rarity * (1.0 - always) } else { 0.0 };
+                            (0..samples).for_each(|_| pixel.add([value(chance() < 1.0 / rarity); 3].into()));
                         }
                         combined.judge(&film, &rough_luminances(&film, 512.0));
                         if by_own_noise {
@@ -354,17 +379,22 @@ mod tests {
                         combined.add_pass(&film);
                     }
                     let mean = |pixel: &CombinedPixel| pixel.combined_mean()[0];
-                    combined.pixels.iter().map(mean).sum::<f64>() / 48.0
+                    combined.pixels.iter().map(mean).sum::<f64>() / f64::from(width * height)
                 })
                 .collect();
-            let mean = found.iter().sum::<f64>() / f64::from(IMAGES);
-            let variance = found.iter().map(|m| (m - mean).powi(2)).sum::<f64>() / f64::from(IMAGES - 1);
-            (mean, (variance / f64::from(IMAGES)).sqrt())
+            let mean = found.iter().sum::<f64>() / f64::from(images);
+            let variance = found.iter().map(|m| (m - mean).powi(2)).sum::<f64>() / f64::from(images - 1);
+            (mean, (variance / f64::from(images)).sqrt())
         };
-        let (mean, error) = mean_of_means(false);
-        assert!((mean - 1.0).abs() < 3.9 * error, "{mean} ± {error}");
-        let (mean, error) = mean_of_means(true);
-        assert!(1.0 - mean > 5.0 * error, "{mean} ± {error}, weighed by its own noise");
+        for (width, height) in [(8, 6), (4, 3), (3, 1), (2, 1), (1, 1)] {
+            for always in [1.0 / 9.0, 0.0] {
+                let (mean, error) = mean_of_means(width, height, always, false);
+                assert!((mean - 1.0).abs() < 3.9 * error, "{width}x{height}, {always}: {mean} ± {error}");
+            }
+        }
+        // Negative control. (Of light that is all rare it would not tell: without any, no variance is known.)
+        let (mean, error) = mean_of_means(8, 6, 1.0 / 9.0, true);
+        assert!(1.0 - mean > 4.5 * error, "{mean} ± {error} by own noise");
     }
 
     /// Of a pass without noise that is known; of one that saw nothing, it is not.
@@ -383,14 +413,24 @@ mod tests {
 
     #[test]
     fn faded_passes_count_that_share_of_what_they_counted() {
-        let mean = |faded| combined(&[(64, 1.0), (64, 2.0)], faded).1.pixels[0].combined_mean()[0];
-        let whole = mean(None);
+        let image = |ended, share| {
+            let (film, combined) = combined(&[(64, 1.0), (64, 2.0)], ended);
+            let image = combined.put_into(film.image(), &film, &[1.0; 2], share);
+            let error = image.standard_error.expect("it has errors")[0][0];
+            (f64::from(image.rgb[0][0]), f64::from(error), combined.relative_error(&film, &[1.0; 2], share))
+        };
+        let mean = |ended, share| image(ended, share).0;
+        let whole = mean(1, 1.0);
         assert!((whole - 1.5).abs() < 0.1, "{whole}");
         let weight = (whole - 1.0) / (2.0 - whole);
         let expected = (1.0 + 2.0 * 8.0 * weight) / (1.0 + 8.0 * weight);
-        assert!((mean(Some(0)) - expected).abs() < 1e-6, "{} for {expected}", mean(Some(0)));
-        assert!((mean(Some(1)) - whole).abs() < 1e-6, "what fades as a whole stays what it is");
-        let error = |faded| combined(&[(64, 1.0), (64, 2.0)], faded).1.pixels[0].standard_error()[0];
-        assert!((error(Some(1)) / error(None) - 1.0).abs() < 1e-6);
+        assert!((mean(1, 0.125) - expected).abs() < 1e-6, "{} for {expected}", mean(1, 0.125));
+        assert_eq!(mean(2, 1.0), whole, "whether the last pass has ended changes nothing");
+        assert!((mean(2, 0.125) - whole).abs() < 1e-6, "what fades as a whole stays what it is");
+        assert!((image(2, 0.125).1 / image(2, 1.0).1 - 1.0).abs() < 1e-6);
+        for (value, error, relative) in [image(1, 1.0), image(1, 0.125), image(2, 1.0)] {
+            let expected = error / (value * value + 0.01).sqrt();
+            assert!((relative / expected - 1.0).abs() < 1e-6, "{relative} for {expected}");
+        }
     }
 }

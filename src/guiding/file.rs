@@ -422,7 +422,9 @@ fn check_counts(learner: &Learner) -> Result<(), Fault> {
         return damaged("its index names cells that it does not have");
     }
     // Kernels of the other guides look for no finer cells.
-    if learner.mode() != GuideMode::Adaptive && learner.index.iter().any(|&word| word != NO_CELL && word & FINER != 0) {
+    if learner.mode() != GuideMode::Adaptive
+        && learner.index.iter().any(|&word| word != NO_CELL && word & FINER != 0)
+    {
         return damaged("its index has finer cells, which its guide never makes");
     }
     // A commit keeps one row of the index per cell up to date, where it writes any.

@@ -112,7 +112,7 @@ pub fn propose_in_octant(normal: Vec3, octant: u32, u: Vec2) -> Vec3 {
 pub struct Acceptance {
     /// n·ω, negative below the horizon.
     pub kept: f32,
-    /// Σ max(0, n_i·ω_i); the same to the bit where the horizon does not cut the octant.
+    /// Σ max(0, n_i·ω_i); the same, but for roundings on a GPU, where the horizon does not cut the octant.
     pub proposed: f32,
 }
 

@@ -24,6 +24,11 @@ pub struct Guidance<'a> {
 
 /// Share of directions that the octants propose at most.
 pub const MOST_PROPOSED: f32 = 0.95;
+/// Share of what the octants know that must lie above the horizon for them to guide: shares are right to some 1e-7, so what is turned
+/// down is known to a thousandth then.
+pub const LEAST_SEEN: f32 = 1e-4;
+/// Mean radiance below which they do not: quotients by less are not to be trusted.
+pub const LEAST_RADIANCE: f32 = 1e-25;
 
 /// What the guide knows at a surface point that has a Lambertian lobe.
 #[derive(Clone, Copy, Debug)]
@@ -69,6 +74,7 @@ impl Transport<'_> {
         let asked = cell.trust * guidance.table.uniforms.mixture;
         let mixture = match guidance.mode {
             _ if mean <= 0.0 => 0.0,
+            GuideMode::Octant if mean < LEAST_SEEN * cell.irradiance || mean < LEAST_RADIANCE => 0.0,
             // So many more as the horizon will turn down, so that as many are guided as were asked for.
             GuideMode::Octant => (asked * proposed).min(MOST_PROPOSED * mean) / mean,
             _ => asked,

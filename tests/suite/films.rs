@@ -52,7 +52,7 @@ impl Grown {
 
     /// The combined image and its standard error.
     fn image(&self) -> (Vec<[f32; 3]>, Vec<[f32; 3]>) {
-        let image = self.combined.clone().with_news(&self.film, &self.estimates).put_into(self.film.image());
+        let image = self.combined.put_into(self.film.image(), &self.film, &self.estimates, 1.0);
         (image.rgb, image.standard_error.unwrap())
     }
 }

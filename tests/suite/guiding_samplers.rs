@@ -9,7 +9,9 @@ use crate::tables::*;
 use glam::{Vec3, Vec4Swizzles};
 use qtracer::Sampler;
 use qtracer::accel::Search;
-use qtracer::guiding::octant::{Draws, acceptance, octant_of, octant_shares, octant_wholes, propose_in_octant};
+use qtracer::guiding::octant::{
+    Draws, acceptance, octant_of, octant_shares, octant_wholes, propose_in_octant,
+};
 use qtracer::guiding::table::{adaptive, bansal, octants};
 use qtracer::guiding::{GuideMode, LessonLayout, LessonSums};
 use qtracer::random::{SampleKey, sample4};
@@ -122,8 +124,9 @@ fn octant_directions_follow_their_density() {
         let pdf = |d| octants::density(&point.cell, point.mean, point.proposed, cosine(d), d).pdf;
         follows(&format!("octants about {normal}"), sample, pdf);
         // Negative control: 10 % more in one octant of those that matter.
-        let most = (0..8)
-            .max_by_key(|&a| (point.cell.octants[a as usize] * octant_shares(normal)[a as usize] * 1e6) as u32);
+        let most = (0..8).max_by_key(|&a| {
+            (point.cell.octants[a as usize] * octant_shares(normal)[a as usize] * 1e6) as u32
+        });
         let wrong = |d| if Some(octant_of(d)) == most { 1.1 * pdf(d) } else { pdf(d) };
         does_not_follow("a tenth more", sample, wrong);
         // And as if the horizon kept all.
@@ -145,7 +148,10 @@ fn as_many_directions_are_guided_as_were_asked_for() {
         let point = world.point(i as u32, normal, &diffuse());
         let asked = point.cell.trust * world.learnt.table.uniforms.mixture;
         let guided = point.mixture * point.mean / point.proposed;
-        assert!(guided <= asked + 1e-6 && point.mixture <= MOST_PROPOSED + 1e-6, "{normal}: {guided} for {asked}");
+        assert!(
+            guided <= asked + 1e-6 && point.mixture <= MOST_PROPOSED + 1e-6,
+            "{normal}: {guided} for {asked}"
+        );
         match point.mixture < 0.999 * MOST_PROPOSED {
             true => assert!((guided - asked).abs() < 1e-5, "{normal}: {guided} for {asked}"),
             false => most += 1,
@@ -266,6 +272,44 @@ fn mixed_directions_follow_their_density() {
             // Negative control: up to a fifth more towards one side.
             does_not_follow(&format!("{mode}: askew"), sample, |d| pdf(d) * (1.0 + 0.2 * d.x));
         }
+    }
+}
+
+/// Whatever octants know, the weights of their directions are 1 on average: light behind the surface alone, next to an axis, where shares
+/// are smaller than their errors; too little light for quotients; very uneven light. 4.5 standard errors, about 1e-5 each.
+#[test]
+fn weights_of_octants_are_one_on_average_whatever_was_learnt() {
+    const DRAWS: u32 = 100_000;
+    let behind = |octant: usize| std::array::from_fn(|a| if a == octant { 1.0 } else { 0.0 });
+    let askew = Vec3::new(-0.1, 0.3, 0.95);
+    let cases: [(Vec3, [f32; 8], bool); 8] = [
+        (Vec3::new(2.4e-8, 2.07e-5, 1.0), behind(6), false),
+        (Vec3::new(3.284_103e-8, 4.868_87e-8, 1.0), behind(4), false),
+        (Vec3::new(1.0, 1.278_653_5e-7, 7.397_488e-7), behind(5), false),
+        (Vec3::new(0.2, 0.1, 1.0), behind(6), true),
+        (Vec3::new(0.1, 0.02, 1.0), [1e-3, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0], true),
+        (askew, [1e-31, 2e-31, 3e-31, 4e-31, 1e-31, 1e-31, 1e-31, 5e-31], false),
+        (askew, [1e-6, 0.0, 1.0, 0.0, 0.0, 0.0, 1e3, 0.0], true),
+        (askew, [1e36; 8], true),
+    ];
+    let mut world = World::new(GuideMode::Octant, 9);
+    for (normal, octants, guided) in cases {
+        let normal = normal.normalize();
+        world.learnt.set_octants(0, octants);
+        let transport = world.transport();
+        let point = world.point(0, normal, &diffuse());
+        assert_eq!(point.mixture > 0.0, guided, "{normal} {octants:?}: {}", point.mixture);
+        let weights: Vec<f64> = (0..DRAWS)
+            .map(|i| {
+                let d = transport.guided_direction(&point, normal, own_numbers(i), &draws(i));
+                let pdf = transport.guided_pdf(&point, normal, d);
+                if pdf > 0.0 { f64::from(pdf_cosine(normal.dot(d)) / pdf) } else { 0.0 }
+            })
+            .collect();
+        let mean = weights.iter().sum::<f64>() / f64::from(DRAWS);
+        let variance = weights.iter().map(|w| (w - mean).powi(2)).sum::<f64>() / f64::from(DRAWS);
+        let error = (variance / f64::from(DRAWS)).sqrt().max(1e-6);
+        assert!((mean - 1.0).abs() < 4.5 * error, "{normal} {octants:?}: {mean} ± {error}");
     }
 }
 

@@ -7,7 +7,6 @@ use qtracer::film::BlockSum;
 use qtracer::gpu::key::KernelKey;
 use qtracer::gpu::link::{MODULES, link};
 use qtracer::gpu::stage::{GRID_WIDTH, Schedule, Stage, WORKGROUP};
-use qtracer::transport::guide::MOST_PROPOSED;
 use qtracer::guiding::{
     GuideMode, GuideUniforms, Trail, Transition, commit, lessons, quadtree, state, table,
 };
@@ -21,6 +20,7 @@ use qtracer::scene::triangle::SMALLEST_SQUARE;
 use qtracer::scene::{Geometry, Material as SceneMaterial, MaterialTextures, MeshData};
 use qtracer::scene::{shading, texels};
 use qtracer::transport::estimators::Estimators;
+use qtracer::transport::guide::{LEAST_RADIANCE, LEAST_SEEN, MOST_PROPOSED};
 use qtracer::transport::items::{HitItem, RayItem, ShadowItem};
 use qtracer::transport::path::SHADOW_END;
 use qtracer::transport::roulette::{LEAST_SURVIVAL, ROULETTE_FROM_BOUNCE, Roulette};
@@ -467,6 +467,8 @@ fn constants_shared_with_the_kernels_are_equal() {
         ("CELL_TREE_WORDS", (size_of::<state::CellTrees>() / 4) as f64),
         // What one addition makes at most.
         ("LARGEST", lessons::fixed(f32::MAX, 1.0) as f64),
+        ("LEAST_RADIANCE", f64::from(LEAST_RADIANCE)),
+        ("LEAST_SEEN", f64::from(LEAST_SEEN)),
         ("MOST_PROPOSED", f64::from(MOST_PROPOSED)),
         ("BANSAL_DRAWS", f64::from(table::bansal::DRAWS)),
         ("LEAST_SURVIVAL", f64::from(LEAST_SURVIVAL)),

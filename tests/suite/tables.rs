@@ -150,4 +150,12 @@ impl Learnt {
         assert_ne!(place.cell, NO_CELL, "no cell was made at {position}");
         (self.table.cell(place.row), normal)
     }
+
+    /// Octant guides: has the `i`-th of them know that.
+    pub fn set_octants(&mut self, i: u32, octants: [f32; 8]) {
+        let (row, at) = (self.row(i) as usize, self.cell(i).0.at as usize);
+        let first = 4 * self.table.uniforms.words_at as usize + at;
+        self.table.rows.as_flattened_mut()[first..first + 8].copy_from_slice(&octants.map(f32::to_bits));
+        self.table.rows[row][2] = octants.iter().sum::<f32>().to_bits();
+    }
 }
