@@ -228,7 +228,7 @@ pub fn rough_luminances(film: &Film, samples: f64) -> Vec<f32> {
     // Half of a square's pixels are of one colour.
     let side = if have < samples { (2.0 * samples / have).sqrt() } else { 1.0 };
     let radius = ((side - 1.0) / 2.0).ceil().min(16.0) as usize;
-    let columns: Vec<[f64; 2]> = window_sums(&vec![1.0; width], radius);
+    let columns = window_sums(&vec![1.0; width], radius);
     // Sums over the window within each row, then over rows.
     let luminances = |row: &[PixelSum]| row.iter().map(|pixel| luminance(pixel.mean())).collect();
     let luminances: Vec<Vec<f64>> = film.pixels().par_chunks(width).map(luminances).collect();
@@ -236,35 +236,37 @@ pub fn rough_luminances(film: &Film, samples: f64) -> Vec<f32> {
     let darkest = colour_means(&luminances).map(|mean| DARKEST * mean);
     let mut estimates = vec![0.0; width * height];
     estimates.par_chunks_mut(width).enumerate().for_each(|(y, estimates)| {
-        let mut sums = vec![[0.0; 2]; width];
-        for row in y.saturating_sub(radius)..(y + radius + 1).min(height) {
-            for (x, [sum, count]) in sums.iter_mut().enumerate() {
-                // Whether the row's pixels of this one's colour are in odd columns.
-                let odd = colour(x, y + row);
-                *sum += rows[row][x][odd];
-                *count += columns[x][odd];
-            }
+        let (mut sums, mut counts) = (vec![0.0; width], vec![0.0; width]);
+        let from = y.saturating_sub(radius);
+        for (row, values) in (from..).zip(&rows[from..(y + radius + 1).min(height)]) {
+            // In every other row, pixels of the same colour are an odd number of columns away.
+            let odd = (y + row) % 2;
+            sums.iter_mut().zip(&values[odd]).for_each(|(sum, value)| *sum += value);
+            counts.iter_mut().zip(&columns[odd]).for_each(|(count, columns)| *count += columns);
         }
-        for (x, (estimate, [sum, count])) in estimates.iter_mut().zip(sums).enumerate() {
+        for (x, (estimate, (sum, count))) in estimates.iter_mut().zip(sums.iter().zip(counts)).enumerate() {
             *estimate = (sum / count).max(darkest[colour(x, y)]) as f32;
         }
     });
     estimates
 }
 
-/// For each place in a row the sums of the values at even and at odd places that are at most `radius` away.
-fn window_sums(row: &[f64], radius: usize) -> Vec<[f64; 2]> {
+/// For each place in a row the sums of the values that are at most `radius` away from it: by an even number of places, by an odd one.
+fn window_sums(row: &[f64], radius: usize) -> [Vec<f64>; 2] {
+    // Before each place, of even and of odd places.
     let mut below = vec![[0.0; 2]];
     for (x, value) in row.iter().enumerate() {
         let mut sums = below[x];
         sums[x % 2] += value;
         below.push(sums);
     }
-    let within = |x: usize| {
-        let (from, to) = (below[x.saturating_sub(radius)], below[(x + radius + 1).min(row.len())]);
-        [to[0] - from[0], to[1] - from[1]]
-    };
-    (0..row.len()).map(within).collect()
+    [0, 1].map(|odd| {
+        let within = |x: usize| {
+            let parity = (x + odd) % 2;
+            below[(x + radius + 1).min(row.len())][parity] - below[x.saturating_sub(radius)][parity]
+        };
+        (0..row.len()).map(within).collect()
+    })
 }
 
 /// For each colour of the checkerboard the mean of its pixels; 0 where it has none.
@@ -325,6 +327,36 @@ mod tests {
         // Half of 0.01, more or less, in the one case; half of 9, less by epsilon, in the other.
         assert!(dark < 0.05, "{dark}");
         assert!((3.0..4.6).contains(&dim), "{dim}: what is seen counts");
+    }
+
+    /// Estimates are means over the pixels of the same colour in a square, cut off at the borders.
+    #[test]
+    fn rough_luminances_are_means_over_pixels_of_one_colour() {
+        for (width, height) in [(9, 7), (1, 5), (40, 1), (1, 1), (12, 37)] {
+            let mut film = Film::new(width, height);
+            for (i, pixel) in film.pixels_mut().iter_mut().enumerate() {
+                (0..8).for_each(|_| pixel.add([(i * i % 23) as f32 + 1.0; 3].into()));
+            }
+            let (width, height) = (width as usize, height as usize);
+            // Eight samples a pixel, half of the pixels: squares 1, 2, 4 and 6.3 pixels wide.
+            for (samples, radius) in [(8.0, 0), (16.0, 1), (64.0, 2), (160.0, 3)] {
+                let found = rough_luminances(&film, samples);
+                for (x, y) in (0..height).flat_map(|y| (0..width).map(move |x| (x, y))) {
+                    let near = |a: usize, b: usize| a.abs_diff(b) <= radius;
+                    let of_window = |i: &usize| {
+                        let at = (i % width, i / width);
+                        near(at.0, x) && near(at.1, y) && colour(at.0, at.1) == colour(x, y)
+                    };
+                    let window: Vec<f64> = (0..width * height)
+                        .filter(of_window)
+                        .map(|i| luminance(film.pixels()[i].mean()))
+                        .collect();
+                    let expected = window.iter().sum::<f64>() / window.len() as f64;
+                    let error = (f64::from(found[y * width + x]) / expected - 1.0).abs();
+                    assert!(error < 1e-6, "{width}x{height}, {samples} samples, ({x}, {y})");
+                }
+            }
+        }
     }
 
     /// Whatever pixels of one colour of the checkerboard saw, those of the other weigh their passes alike.
