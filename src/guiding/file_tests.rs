@@ -156,6 +156,17 @@ fn every_damage_is_named() {
     assert!(fault(&stamped(longer)).contains("4 bytes follow"));
 }
 
+/// Only the adaptive guide cuts cells, and kernels of the others look for no finer ones.
+#[test]
+fn finer_cells_are_refused_where_a_guide_makes_none() {
+    let mut cut = learner(GuideMode::Octant, 5);
+    let (word, block) = (cut.state.trees[0].row as usize, cut.index.len() as u32);
+    cut.index[word] = FINER | block;
+    cut.index.extend([0; 8]);
+    (cut.state.trees[0].row, cut.levels[0]) = (block, 1);
+    assert!(fault(&cut.to_bytes()).contains("finer cells"), "{}", fault(&cut.to_bytes()));
+}
+
 #[test]
 fn files_that_cannot_be_read_or_written_are_named() {
     let folder = tempfile::tempdir().unwrap();
