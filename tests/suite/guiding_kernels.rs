@@ -21,7 +21,7 @@ use qtracer::sampling::pdf_cosine;
 use qtracer::scene::compiled::{CompiledScene, KIND_DIFFUSE, Material, Uniforms};
 use qtracer::scene::shapes::Surface;
 use qtracer::transport::estimators::Estimators;
-use qtracer::transport::guide::Guidance;
+use qtracer::transport::guide::{Guidance, LEAST_SEEN};
 use qtracer::transport::path::Transport;
 use qtracer::transport::roulette::Roulette;
 use wgpu::BufferUsages;
@@ -254,6 +254,59 @@ fn octant_shares_on_the_gpu_are_right_to_two_millionths() {
         assert!(worst < 2e-6, "{normal:?}: {shares:?} are {worst:e} off");
     }
     println!("octant shares are {worst:e} off");
+}
+
+/// At a surface point both sides have as many directions guided, whether the horizon turns proposals down or nothing is guided since
+/// all that is known lies behind the surface.
+#[test]
+fn octants_guide_as_many_directions_on_the_gpu() {
+    let gpu = open_gpu();
+    let kernel = (
+        "import package::items::Material;
+        import package::scene::data::KIND_DIFFUSE;
+        import package::scene::shapes::Surface;
+        import package::transport::guide::guide_point;",
+        "let normal = bitcast<vec3<f32>>(b.xyz);
+        var material: Material;
+        material.color = vec3<f32>(0.5);
+        material.kind = KIND_DIFFUSE;
+        let point = guide_point(Surface(bitcast<vec3<f32>>(a.xyz), normal, 0.0), normal, material);
+        out0 = bitcast<vec4<u32>>(vec4<f32>(point.mixture, point.mean, point.proposed, point.share));",
+    );
+    let scene = CompiledScene::new(&scene("cornell-box"));
+    let (search, uniforms) = (Search::new(&scene), Uniforms::default());
+    let material = Material { color: Vec3::splat(0.5), kind: KIND_DIFFUSE, ..Default::default() };
+    let mut learnt = learnt(GuideMode::Octant, 9);
+    let position = surface_point(77, 4).0;
+    let normals = normals_and_axes();
+    for octants in [None, Some([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]), Some([1e-31; 8])] {
+        octants.inspect(|octants| learnt.set_octants(4, *octants));
+        let sums = LessonSums::new(LessonLayout::new(&learnt.table.uniforms));
+        let guidance = Some(Guidance { mode: GuideMode::Octant, table: &learnt.table, sums: &sums });
+        let transport = Transport { guidance, ..Transport::plain(&scene, &search, &uniforms) };
+        let questions: Vec<Question> = normals.iter().map(|normal| question(position, 0, *normal)).collect();
+        let answers = ask(&gpu, GuideMode::Octant, kernel, &learnt.table, &questions);
+        let mut unguided = 0;
+        for (normal, answer) in normals.iter().zip(&answers) {
+            let surface = Surface::plain(position, *normal, 0.0);
+            let point = transport.guide_point(&surface, *normal, &material).unwrap();
+            let [mixture, mean, proposed, share] = answer.map(f32::from_bits);
+            let what = format!("{normal:?}: {mixture} {mean} {proposed} for {point:?}");
+            assert!(
+                close(mean, point.mean, 1e-5, 1e-7) && close(proposed, point.proposed, 1e-5, 1e-7),
+                "{what}"
+            );
+            // At the very border of what is seen either side may be right.
+            let border = (point.mean / point.cell.irradiance / LEAST_SEEN - 1.0).abs() < 0.01;
+            assert!(border || close(mixture, point.mixture, 1e-3, 0.0) && share == 1.0, "{what}");
+            unguided += usize::from(mixture == 0.0);
+        }
+        let (few, all) = (normals.len() / 10, normals.len());
+        let expected = [(None, 0..1), (Some(1.0), few..all), (Some(1e-31), all..all + 1)];
+        let known = octants.map(|octants| octants[6]);
+        let (_, range) = expected.iter().find(|(octant, _)| *octant == known).unwrap();
+        assert!(range.contains(&unguided), "{known:?}: {unguided} of {all} normals are not guided");
+    }
 }
 
 /// What the GPU draws at a surface point follows the density that Rust tells, and the GPU tells the same. α = 1e-4 each.
