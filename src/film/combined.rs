@@ -12,8 +12,8 @@ const JUDGED_SAMPLES: u64 = 2;
 const LEAST_VARIANCE: f64 = 1e-9;
 /// A relative variance that any real one is below.
 const UNKNOWN: f64 = 1e12;
-/// Luminance, relative to the mean of the pixels of its colour, below which errors of pixels are seen as they are instead of relative to the pixel: else
-/// a few pixels that are nearly black would tell how noisy passes are. With its square as ε this is relMSE.
+/// Luminance, relative to the mean of the pixels of its colour, below which errors of pixels are seen as they are instead of relative
+/// to the pixel: else a few pixels that are nearly black would tell how noisy passes are. With its square as ε this is relMSE.
 const DARK: f64 = 0.2;
 
 /// Per pixel: weighted means of passes, cut from a film that only grows.
@@ -51,8 +51,8 @@ impl CombinedFilm {
     ///
     /// A pixel's weight is the inverse of the pass's mean relative variance, estimated from the pixels of the other colour
     /// of a checkerboard: those are independent of the pixel's own noise. (An image of one pixel has no other: there, passes weigh
-    /// by their samples.) A sample counts at least as much as one of any earlier
-    /// pass, since learning makes passes better, and a short pass that missed what is rare only seems less noisy.
+    /// by their samples.) A sample counts at least as much as one of any earlier pass, since learning makes passes better, and a short
+    /// pass that missed what is rare only seems less noisy.
     pub fn end_pass(&mut self, film: &Film, estimates: &[f32]) {
         self.judge(film, estimates);
         self.add_pass(film);
