@@ -84,6 +84,7 @@ impl CombinedFilm {
         self.variance = self.judged(film, estimates);
     }
 
+    /// What [`CombinedFilm::judge`] finds.
     fn judged(&self, film: &Film, estimates: &[f32]) -> [f64; 2] {
         let passed = |(now, before): (&PixelSum, &PixelSum)| now.count - before.count;
         if film.pixels().iter().zip(&self.before).next().map_or(0, passed) < JUDGED_SAMPLES {
@@ -188,11 +189,8 @@ fn relative_variance(
     estimates: &[f32],
     width: usize,
 ) -> [Option<f64>; 2] {
-    let luminances: Vec<Vec<f64>> = estimates
-        .par_chunks(width)
-        .map(|row| row.iter().map(|&estimate| estimate.into()).collect())
-        .collect();
-    let epsilon = colour_means(&luminances).map(|mean| (DARK * mean).powi(2));
+    let means = colour_means(estimates.iter().map(|&estimate| f64::from(estimate)), width);
+    let epsilon = means.map(|mean| (DARK * mean).powi(2));
     let rows = now.par_chunks(width).zip(before.par_chunks(width)).zip(estimates.par_chunks(width));
     let sums: Vec<[[f64; 2]; 2]> = rows
         .enumerate()
@@ -233,7 +231,7 @@ pub fn rough_luminances(film: &Film, samples: f64) -> Vec<f32> {
     let luminances = |row: &[PixelSum]| row.iter().map(|pixel| luminance(pixel.mean())).collect();
     let luminances: Vec<Vec<f64>> = film.pixels().par_chunks(width).map(luminances).collect();
     let rows: Vec<_> = luminances.par_iter().map(|row| window_sums(row, radius)).collect();
-    let darkest = colour_means(&luminances).map(|mean| DARKEST * mean);
+    let darkest = colour_means(luminances.iter().flatten().copied(), width).map(|mean| DARKEST * mean);
     let mut estimates = vec![0.0; width * height];
     estimates.par_chunks_mut(width).enumerate().for_each(|(y, estimates)| {
         let (mut sums, mut counts) = (vec![0.0; width], vec![0.0; width]);
@@ -269,15 +267,13 @@ fn window_sums(row: &[f64], radius: usize) -> [Vec<f64>; 2] {
     })
 }
 
-/// For each colour of the checkerboard the mean of its pixels; 0 where it has none.
-fn colour_means(rows: &[Vec<f64>]) -> [f64; 2] {
+/// For each colour of the checkerboard the mean of its pixels' values, row by row; 0 where it has none.
+fn colour_means(values: impl Iterator<Item = f64>, width: usize) -> [f64; 2] {
     let mut sums = [[0.0; 2]; 2];
-    for (y, row) in rows.iter().enumerate() {
-        for (x, value) in row.iter().enumerate() {
-            let [sum, count] = &mut sums[colour(x, y)];
-            *sum += value;
-            *count += 1.0;
-        }
+    for (i, value) in values.enumerate() {
+        let [sum, count] = &mut sums[colour(i % width, i / width)];
+        *sum += value;
+        *count += 1.0;
     }
     sums.map(|[sum, count]| if count > 0.0 { sum / count } else { 0.0 })
 }

@@ -229,8 +229,7 @@ fn normals_and_axes() -> Vec<Vec3> {
     tilted.chain(drawn(normal(), 300)).map(flushed).collect()
 }
 
-/// All eight shares of a cosine lobe are those of quadrature in f64, to two millionths, and add up to one: arc tangents are the
-/// adapter's.
+/// All eight shares of a cosine lobe are those of quadrature in f64, to two millionths, and add up to one.
 #[test]
 fn octant_shares_on_the_gpu_are_right_to_two_millionths() {
     let gpu = open_gpu();
