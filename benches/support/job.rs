@@ -38,7 +38,7 @@ impl Settings {
         GuideOptions {
             mixture: self.mixture.unwrap_or(guide.mixture),
             depth: self.depth.unwrap_or(guide.depth),
-            learning_samples: self.learning.unwrap_or(guide.learning_samples),
+            learning_samples: self.learning.or(guide.learning_samples),
             cell_size: self.cell.or(guide.cell_size),
             ..guide
         }

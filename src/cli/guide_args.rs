@@ -28,6 +28,12 @@ impl Help {
     }
 }
 
+/// Of most guides, and of octants.
+fn lessons() -> String {
+    let of = |mode| GuideOptions { mode, ..default() }.lessons().next_power_of_two();
+    format!("{}; octant: {}", of(GuideMode::Adaptive), of(GuideMode::Octant))
+}
+
 fn default() -> GuideOptions {
     GuideOptions::default()
 }
@@ -60,7 +66,7 @@ pub struct GuideArgs {
     #[arg(long, help = THRESHOLD.with(default().threshold), value_name = "0..1", value_parser = values::share, allow_negative_numbers = true)]
     guide_threshold: Option<f32>,
 
-    #[arg(long, help = LEARNING.with(default().learning_samples.next_power_of_two()), value_name = "N", value_parser = clap::value_parser!(u32), allow_negative_numbers = true)]
+    #[arg(long, help = LEARNING.with(lessons()), value_name = "N", value_parser = clap::value_parser!(u32), allow_negative_numbers = true)]
     guide_learning: Option<u32>,
 
     #[arg(long, help = MEMORY.with(format_args!("{}M", default().memory >> 20)), value_name = "SIZE", value_parser = values::bytes, allow_negative_numbers = true)]
@@ -134,7 +140,7 @@ impl GuideArgs {
             alpha: self.guide_alpha,
             discount: self.guide_discount.unwrap_or(default.discount),
             threshold: self.guide_threshold.unwrap_or(default.threshold),
-            learning_samples: self.guide_learning.unwrap_or(default.learning_samples),
+            learning_samples: self.guide_learning,
             mature_samples: default.mature_samples,
             memory: self.guide_memory.unwrap_or(default.memory),
         }
@@ -271,7 +277,7 @@ mod tests {
             alpha: Some(0.5),
             discount: 0.7,
             threshold: 0.6,
-            learning_samples: 64,
+            learning_samples: Some(64),
             mature_samples: GuideOptions::default().mature_samples,
             memory: 1 << 20,
         };

@@ -49,6 +49,7 @@ impl CpuEngine {
             informed: estimators.learns(),
             roulette: estimators.roulette,
             roulette_scale: estimators.roulette_scale,
+            ripe: false,
         };
         CpuEngine { scene, uniforms, estimators, strategy, guide: None, stats }
     }

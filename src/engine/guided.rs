@@ -30,8 +30,6 @@ pub struct Guided {
     combined: CombinedFilm,
     first_sample: u32,
     stratified: bool,
-    /// Samples per pixel from which on roulette goes by what was learnt.
-    mature: u32,
     /// What the engine had spent when the pass began: samples of each pixel, rays.
     spent: (u32, u64),
     pixels: f64,
@@ -71,8 +69,6 @@ impl Guided {
             combined: CombinedFilm::new(&Film::new(uniforms.width, uniforms.height)),
             first_sample: options.first_sample,
             stratified: estimators.sampler == Sampler::Stratified,
-            // What was loaded has been learnt already.
-            mature: if options.guide_table.is_some() { 0 } else { options.guide.mature_samples },
             spent: (0, 0),
             pixels: f64::from(pixels),
         }))
@@ -115,7 +111,7 @@ impl Guided {
         engine.set_pass(&self.pass)?;
         if self.pass.strategy.informed {
             // An estimate of 0 is none: paths end by throughput.
-            let known = if samples >= self.mature { estimates } else { vec![0.0; estimates.len()] };
+            let known = if self.pass.strategy.ripe { estimates } else { vec![0.0; estimates.len()] };
             let stale = std::mem::take(&mut self.stale);
             engine.set_guide(self.learner.update(self.pass.learning, stale, &known))?;
         }

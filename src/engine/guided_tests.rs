@@ -92,7 +92,8 @@ fn watch<E: Engine>(
     let path = format!("{}/scenes/cornell-box.toml", env!("CARGO_MANIFEST_DIR"));
     let scene = Scene::load(path).expect("the scene loads");
     // Cells so large that paths have met them all before long.
-    let guide = GuideOptions { mode, learning_samples: 30, cell_size: Some(200.0), ..Default::default() };
+    let guide =
+        GuideOptions { mode, learning_samples: Some(30), cell_size: Some(200.0), ..Default::default() };
     let options = RenderOptions { guide, size: Some((16, 16)), max_bounces: Some(8), ..Default::default() };
     let (compiled, estimators) = (CompiledScene::new(&scene), options.estimators(&scene));
     let uniforms = Uniforms { max_bounces: 8, ..compiled.uniforms(&scene.camera, 16, 16, 1) };

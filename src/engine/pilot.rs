@@ -39,7 +39,7 @@ pub fn pilot(
             Learner::new(options, low, high, brightest)?
         }
     };
-    if before.is_some() && options.learning_samples == 0 {
+    if before.is_some() && options.learning_samples == Some(0) {
         return Ok(learner);
     }
     let table: GuideTable = learner.table(true, &[]);

@@ -16,6 +16,8 @@ pub struct Strategy {
     pub roulette: Roulette,
     /// Survival in roulette is this times what it would be.
     pub roulette_scale: f32,
+    /// Whether learnt roulette goes by what was learnt; else paths end by throughput there, too.
+    pub ripe: bool,
 }
 
 /// A pass to be traced.
@@ -49,8 +51,9 @@ const FIRST_PASS_OF_LONG_WALKS: u32 = 16;
 const LONG_WALK: usize = 128;
 /// Samples per pixel without the table, before it is tried: what it must be better than.
 const PRELUDE: u32 = 16;
-/// After so many samples per pixel the last pass is compared with the prelude. At the first, one pass has gone by what was learnt in
-/// roulette, too. (Before that it can't be told: at 32, door-ajar's guide was 1.1 times better and bansal-room-5's 1.2 times worse.)
+/// After so many samples per pixel the last pass is compared with the prelude, and at the first, where one pass has gone by what was
+/// learnt in roulette, too, with the one before. (Before that it can't be told: at 32, door-ajar's guide was 1.1 times better and
+/// bansal-room-5's 1.2 times worse.)
 const CHECKS: [u32; 2] = [128, 256];
 /// Relative variance of a plain sample below which a guide is not worth its while where samples are stratified: they then
 /// converge faster than their variance tells, and a guide's choices break the strata up. Measured: cornell-box, whose
@@ -64,7 +67,8 @@ const SHORT: f64 = 2.5;
 /// tracing, and it is 1.37 times; on glossy-box 1.2 times, and it is 1.27.
 const STRATA_LOSS: f64 = 1.1;
 /// Plain tracing's roulette: the best of 1, 4, 16 and off on most scenes (docs/GUIDING.md).
-const PLAIN: Strategy = Strategy { informed: false, roulette: Roulette::Throughput, roulette_scale: 4.0 };
+const PLAIN: Strategy =
+    Strategy { informed: false, roulette: Roulette::Throughput, roulette_scale: 4.0, ripe: false };
 
 /// What a ray costs, in units of one that meets no shape.
 #[derive(Clone, Copy, Debug)]
@@ -110,6 +114,14 @@ pub struct Planner {
     informed: Judged,
     /// None if it is out of question.
     plain: Option<Judged>,
+    /// The informed one as it was in the last pass that ended paths by throughput, as long as roulette by what was learnt is
+    /// to be compared with it. Scenes of mirrors and glass need that: a cell's mean does not know which way they send a path
+    /// (bansal-exp-2: 4.6 times the noise of a sample, 0.7 of its cost).
+    unripe: Option<Judged>,
+    /// Of roulette by what was learnt.
+    roulette_scale: f32,
+    /// Samples per pixel from which on roulette goes by what was learnt; `u32::MAX` where it never does.
+    ripens: u32,
     /// The next of [`CHECKS`].
     check: usize,
     learning_samples: u32,
@@ -142,11 +154,20 @@ impl Planner {
     ) -> Planner {
         let Estimators { roulette, roulette_scale, .. } = estimators;
         let tests = tests_per_ray * if estimators.direct_light { 2 } else { 1 };
+        let plain = plain_strategy(options, estimators);
+        let ripens = match (roulette, &options.guide_table, plain) {
+            (Roulette::Learnt, Some(_), None) => 0, // What was loaded has been learnt already.
+            (Roulette::Learnt, ..) => options.guide.mature_samples,
+            _ => u32::MAX,
+        };
         Planner {
-            informed: Judged::new(Strategy { informed: true, roulette, roulette_scale }),
-            plain: plain_strategy(options, estimators).map(Judged::new),
+            informed: Judged::new(Strategy { informed: true, roulette, roulette_scale, ripe: false }),
+            plain: plain.map(Judged::new),
+            unripe: None,
+            roulette_scale,
+            ripens,
             check: 0,
-            learning_samples: options.guide.learning_samples,
+            learning_samples: options.guide.lessons(),
             first_pass: if tests_per_ray >= LONG_WALK { FIRST_PASS_OF_LONG_WALKS } else { FIRST_PASS },
             stratified: estimators.sampler == Sampler::Stratified,
             costs: CostModel::new(engine, tests),
@@ -170,7 +191,11 @@ impl Planner {
         };
         (judged.variance, judged.rays) = (variance, rays);
         let loss = if self.stratified && pass.strategy.informed { STRATA_LOSS } else { 1.0 };
+        judged.strategy = pass.strategy;
         judged.noise_cost = loss * variance * self.costs.of(&pass.strategy, rays);
+        if pass.strategy.informed && !pass.strategy.ripe {
+            self.unripe = Some(self.informed);
+        }
     }
 
     /// The pass after `samples` samples per pixel.
@@ -191,10 +216,34 @@ impl Planner {
         match CHECKS.get(self.check) {
             Some(&at) if samples >= at => {
                 self.check += 1;
-                self.informed.noise_cost > plain.noise_cost
+                let postponed = self.leaves_roulette() && self.check < CHECKS.len();
+                !postponed && self.informed.noise_cost > plain.noise_cost
             }
             _ => false,
         }
+    }
+
+    /// Whether roulette by what was learnt is left from now on: paths that ended by throughput did better with fewer lessons. Asked
+    /// once. With as many lessons they may do better still, so that the guide is judged when that is known.
+    fn leaves_roulette(&mut self) -> bool {
+        if !self.informed.strategy.ripe {
+            return false;
+        }
+        let better = |unripe: &Judged| unripe.noise_cost < self.informed.noise_cost;
+        let Some(unripe) = self.unripe.take().filter(better) else { return false };
+        self.informed = unripe;
+        self.ripens = u32::MAX;
+        true
+    }
+
+    /// The informed strategy after `samples` samples per pixel.
+    fn informed_at(&self, samples: u32) -> Strategy {
+        let Strategy { roulette, .. } = self.informed.strategy;
+        let ripe = samples >= self.ripens;
+        // Where there is a choice, paths end by throughput as they do in plain tracing.
+        let as_plain = roulette == Roulette::Learnt && !ripe && self.plain.is_some();
+        let roulette_scale = if as_plain { PLAIN.roulette_scale } else { self.roulette_scale };
+        Strategy { informed: true, roulette, roulette_scale, ripe }
     }
 
     /// Passes that learn, then one without end.
@@ -206,7 +255,9 @@ impl Planner {
         let end = if learning { samples.saturating_add(counted.max(self.first_pass)) } else { u32::MAX };
         // What is to be compared ends there, even if nothing is to be learnt until then.
         let check = self.plain.and(CHECKS.get(self.check)).map_or(u32::MAX, |&at| at);
-        Pass { strategy: self.informed.strategy, end: end.min(check), learning }
+        // The last pass does not go on by throughput past the sample at which roulette ripens.
+        let ripens = if learning || samples >= self.ripens { u32::MAX } else { self.ripens };
+        Pass { strategy: self.informed_at(samples), end: end.min(check).min(ripens), learning }
     }
 }
 
@@ -257,6 +308,25 @@ mod tests {
     }
 
     #[test]
+    fn octants_learn_for_a_quarter_as_long() {
+        let lessons =
+            |mode, learning_samples| GuideOptions { mode, learning_samples, ..Default::default() }.lessons();
+        let planner = |mode, asked| Planner {
+            learning_samples: lessons(mode, asked),
+            ..planner(false, Sampler::Independent)
+        };
+        let learnt = |mode, asked| {
+            let passes = passes(planner(mode, asked), 1.0, 1.0);
+            passes.iter().filter(|pass| pass.teaches()).map(|pass| pass.end).max()
+        };
+        assert_eq!(
+            [GuideMode::Adaptive, GuideMode::Octant].map(|mode| learnt(mode, None)),
+            [Some(512), Some(128)]
+        );
+        assert_eq!(learnt(GuideMode::Octant, Some(512)), Some(512));
+    }
+
+    #[test]
     fn a_guide_that_does_not_pay_is_given_up_as_soon_as_it_is_compared() {
         let passes = passes(planner(true, Sampler::Independent), 100.0, 10.0);
         assert_eq!(ends(&passes), [16, 20, 24, 32, 64, 128, u32::MAX]);
@@ -270,6 +340,52 @@ mod tests {
         let passes = passes(planner(true, Sampler::Independent), 1.0, 10.0);
         assert_eq!(ends(&passes), [16, 20, 24, 32, 64, 128, 256, 512, u32::MAX]);
         assert!(passes[1..].iter().all(|pass| pass.strategy.informed) && !passes[8].teaches());
+    }
+
+    /// Strategies of the passes, where a sample's variance is as told with paths that end by throughput, by what was learnt, and plain.
+    fn roulettes(mut planner: Planner, unripe: f64, ripe: f64, plain: f64) -> Vec<(u32, Strategy)> {
+        let mut pass = planner.first();
+        let mut strategies = vec![(pass.end, pass.strategy)];
+        while pass.end < u32::MAX {
+            let informed = if pass.strategy.ripe { ripe } else { unripe };
+            planner.judge(&pass, if pass.strategy.informed { informed } else { plain }, 5.0);
+            pass = planner.next(pass.end);
+            strategies.push((pass.end, pass.strategy));
+        }
+        strategies
+    }
+
+    #[test]
+    fn roulette_goes_by_what_was_learnt_unless_throughput_does_better() {
+        let trial = || planner(true, Sampler::Independent);
+        let ripe = |strategies: &[(u32, Strategy)]| -> Vec<u32> {
+            strategies.iter().filter(|(_, strategy)| strategy.ripe).map(|(end, _)| *end).collect()
+        };
+        let better = roulettes(trial(), 2.0, 1.0, 10.0);
+        assert_eq!(ripe(&better), [128, 256, 512, u32::MAX]);
+        let worse = roulettes(trial(), 2.0, 5.0, 10.0);
+        assert_eq!(ripe(&worse), [128]);
+        let last = worse.last().unwrap().1;
+        assert!(last.informed && last.roulette == Roulette::Learnt);
+        assert_eq!(last.roulette_scale, PLAIN.roulette_scale);
+        // It is not the worse roulette that the guide is judged by.
+        let saved = roulettes(trial(), 2.0, 50.0, 10.0);
+        assert!(ripe(&saved) == [128] && saved.last().unwrap().1.informed);
+        // Without it, it has one more pass to learn in.
+        let given_up = roulettes(trial(), 20.0, 50.0, 10.0);
+        assert_eq!(given_up[6..], [(256, worse[6].1), (u32::MAX, PLAIN)]);
+    }
+
+    /// Who asks for a guide and that roulette gets it.
+    #[test]
+    fn without_a_choice_roulette_ripens_whatever_it_does() {
+        let planner = || planner(false, Sampler::Independent);
+        let strategies = roulettes(planner(), 1.0, 100.0, 1.0);
+        assert!(strategies.iter().all(|(end, strategy)| strategy.ripe == (*end > 64)));
+        assert!(strategies.iter().all(|(_, strategy)| strategy.roulette_scale == 2.5));
+        // Even if nothing is learnt any more by then.
+        let few = Planner { learning_samples: 8, ..planner() };
+        assert_eq!(ends(&passes(few, 1.0, 1.0)), [4, 8, 64, u32::MAX]);
     }
 
     #[test]
@@ -296,9 +412,9 @@ mod tests {
     #[test]
     fn comparisons_come_whatever_is_learnt() {
         for (learning_samples, expected) in [
-            (0, vec![16, 128, 256, u32::MAX]),
-            (1, vec![16, 20, 128, 256, u32::MAX]),
-            (32, vec![16, 20, 24, 32, 128, 256, u32::MAX]),
+            (0, vec![16, 64, 128, 256, u32::MAX]),
+            (1, vec![16, 20, 64, 128, 256, u32::MAX]),
+            (32, vec![16, 20, 24, 32, 64, 128, 256, u32::MAX]),
             (128, vec![16, 20, 24, 32, 64, 128, 256, u32::MAX]),
             (512, vec![16, 20, 24, 32, 64, 128, 256, 512, u32::MAX]),
         ] {

@@ -85,10 +85,11 @@ pub struct GuideOptions {
     /// Bansal: octants below this share of the best are drawn again, 0 to 1.
     pub threshold: f32,
     /// Samples per pixel that teach, rounded up to whole passes, with a `trial` the plain ones from before as well as these are 32 or
-    /// more; the rest only uses what was learnt. 0: nothing is learnt.
-    pub learning_samples: u32,
+    /// more; the rest only uses what was learnt. 0: nothing is learnt. `None`: as many as pay, [`GuideOptions::lessons`].
+    pub learning_samples: Option<u32>,
     /// Samples per pixel from which on learnt roulette goes by what was learnt; before, paths end by throughput. What cells
-    /// know after a few samples is so rough that roulette by it brought 3 to 9 times the noise at 16 (docs/GUIDING.md).
+    /// know after a few samples is so rough that roulette by it brought 3 to 9 times the noise at 16 (docs/GUIDING.md). With a `trial`, it
+    /// goes on by throughput where that does better.
     pub mature_samples: u32,
     /// Bytes that the table may take.
     pub memory: u64,
@@ -105,7 +106,7 @@ impl Default for GuideOptions {
             alpha: None,
             discount: 0.8,
             threshold: 0.75,
-            learning_samples: 511,
+            learning_samples: None,
             mature_samples: 64,
             memory: 256 << 20,
         }
@@ -123,6 +124,15 @@ pub struct GuideProblem {
 }
 
 impl GuideOptions {
+    /// Samples per pixel that teach, given or not: 511, for octants 128. What eight octants are worth is known sooner than what
+    /// the leaves of quadtrees are, and a sample that teaches costs a third more (docs/GUIDING.md, Cost).
+    pub fn lessons(&self) -> u32 {
+        self.learning_samples.unwrap_or(match self.mode {
+            GuideMode::Octant => 128,
+            _ => 511,
+        })
+    }
+
     /// The first number that is out of its range, if there is one. Where a mode does not use a number, it has to be in range
     /// all the same.
     pub fn problem(&self) -> Option<GuideProblem> {

@@ -55,7 +55,7 @@ fn schedules_and_megakernel_learn_alike() {
     let scene = scene("cornell-box");
     let options = guided(32, 32, 7, GuideMode::Adaptive, Roulette::Learnt);
     let mut lazy = options.clone();
-    lazy.guide.learning_samples = 8;
+    lazy.guide.learning_samples = Some(8);
     let [a, b] = [options, lazy].map(|options| render(&scene, Engine::Megakernel, &options, 30).film);
     assert!(differing_pixels(&a, &b) > 500);
 }

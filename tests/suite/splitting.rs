@@ -173,9 +173,11 @@ fn closed_furnaces_keep_their_radiance_when_paths_split() {
     }
 }
 
-/// Mean of what the surfaces behind the pixels have learnt to receive.
+/// Mean of what the surfaces behind the pixels have learnt to receive in so many samples, all of which teach.
 fn mean_illumination(name: &str, options: &RenderOptions, spp: u32) -> f64 {
-    let mut renderer = Renderer::new(&scene(name), Engine::Cpu.with(options)).unwrap();
+    let mut options = options.clone();
+    options.guide.learning_samples = Some(spp);
+    let mut renderer = Renderer::new(&scene(name), Engine::Cpu.with(&options)).unwrap();
     while renderer.samples() < spp {
         renderer.step(spp - renderer.samples()).unwrap();
     }
