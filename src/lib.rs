@@ -37,7 +37,9 @@ pub mod stats;
 pub mod transport;
 pub mod untrusted;
 
-pub use engine::{CancelToken, EngineChoice, EngineKind, RenderError, RenderOptions, RenderStats, Renderer};
+pub use engine::{
+    Budget, CancelToken, EngineChoice, EngineKind, RenderError, RenderOptions, RenderStats, Renderer,
+};
 pub use film::{Film, Image};
 pub use random::Sampler;
 pub use scene::Scene;

@@ -205,6 +205,7 @@ impl Job {
             direct_light: Some(self.direct_light),
             max_bounces: settings.max_bounces,
             sampler: if settings.independent { Sampler::Independent } else { Sampler::Stratified },
+            budget: settings.checks.budget(),
             ..Default::default()
         };
         Way::named(&self.engine)?.apply(&mut options);

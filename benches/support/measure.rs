@@ -1,8 +1,8 @@
 //! Renders with check points: the clock runs while the renderer works, lessons and tables included.
 
-use qtracer::{RenderError, Renderer};
+use qtracer::{Budget, RenderError, Renderer};
 use serde::{Deserialize, Serialize};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// Where renders are looked at.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -31,6 +31,14 @@ impl Checks {
         match self {
             Checks::Seconds(seconds) => format!("{} s", seconds[check]),
             Checks::Samples(samples) => format!("{} samples", samples[check]),
+        }
+    }
+
+    /// What a render comes to.
+    pub fn budget(&self) -> Option<Budget> {
+        match self {
+            Checks::Seconds(seconds) => seconds.last().map(|s| Budget::Time(Duration::from_secs_f64(*s))),
+            Checks::Samples(samples) => samples.last().map(|n| Budget::Samples(*n)),
         }
     }
 

@@ -41,9 +41,10 @@ fn default() -> GuideOptions {
 #[derive(Args)]
 pub struct GuideArgs {
     /// Learn where light comes from, and send paths there. auto is adaptive where it turns out to pay, else off;
-    /// bansal is that paper's rule, which is biased; all others converge to the truth
-    #[arg(long, value_enum, default_value_t = GuideArg::Off)]
-    guide: GuideArg,
+    /// bansal is that paper's rule, which is biased; all others converge to the truth [default: auto; off below 256
+    /// samples, in scenes without roulette, and with --roulette, --roulette-scale or --split]
+    #[arg(long, value_enum)]
+    guide: Option<GuideArg>,
 
     /// Edge of the largest cells that learn, in scene units [default: a 16th of where paths go; bansal: 0.5]
     #[arg(long, value_name = "SIZE", value_parser = values::length, allow_negative_numbers = true)]
@@ -123,17 +124,20 @@ pub struct GuideJob {
 }
 
 impl GuideArgs {
-    pub fn options(&self) -> GuideOptions {
+    /// What was asked for; `tried` says whether a guide is to be tried where nothing was said of it.
+    pub fn options(&self, tried: bool) -> GuideOptions {
         let default = default();
+        let unsaid = if tried && !self.needs_a_guide() { GuideArg::Auto } else { GuideArg::Off };
+        let guide = self.guide.unwrap_or(unsaid);
         GuideOptions {
-            mode: match self.guide {
+            mode: match guide {
                 GuideArg::Off => GuideMode::Off,
                 GuideArg::Bansal => GuideMode::Bansal,
                 GuideArg::BansalReweighted => GuideMode::BansalReweighted,
                 GuideArg::Octant => GuideMode::Octant,
                 GuideArg::Adaptive | GuideArg::Auto => GuideMode::Adaptive,
             },
-            trial: self.guide == GuideArg::Auto,
+            trial: guide == GuideArg::Auto,
             cell_size: self.guide_cell,
             depth: self.guide_depth.unwrap_or(default.depth),
             mixture: self.guide_mixture.unwrap_or(default.mixture),
@@ -144,6 +148,11 @@ impl GuideArgs {
             mature_samples: default.mature_samples,
             memory: self.guide_memory.unwrap_or(default.memory),
         }
+    }
+
+    /// Whether there are files or pictures of what is learnt: a guide that may be given up does not go without saying then.
+    fn needs_a_guide(&self) -> bool {
+        self.save_guide.is_some() || self.load_guide.is_some() || self.show.is_some() || self.guide_layers
     }
 
     /// The guide to start from, if it goes with what is asked for.
@@ -264,8 +273,23 @@ mod tests {
     }
 
     #[test]
+    fn a_guide_is_tried_unasked_unless_something_needs_one() {
+        let way = |text, tried| (parse(text).options(tried).mode, parse(text).options(tried).trial);
+        assert_eq!(way("", true), (GuideMode::Adaptive, true));
+        for (text, tried) in
+            [("", false), ("--guide off", true), ("--save-guide x", true), ("--guide-layers", true)]
+        {
+            assert_eq!(way(text, tried), (GuideMode::Off, false), "{text}");
+        }
+        for tried in [false, true] {
+            assert_eq!(way("--guide adaptive", tried), (GuideMode::Adaptive, false));
+            assert_eq!(way("--guide auto", tried), (GuideMode::Adaptive, true));
+        }
+    }
+
+    #[test]
     fn options_reach_the_library() {
-        assert_eq!(parse("").options(), GuideOptions::default());
+        assert_eq!(parse("").options(false), GuideOptions::default());
         let all = "--guide octant --guide-cell 0.25 --guide-depth 3 --guide-mixture 0.9 --guide-alpha 0.5 \
                    --guide-discount 0.7 --guide-threshold 0.6 --guide-learning 64 --guide-memory 1M";
         let expected = GuideOptions {
@@ -281,14 +305,14 @@ mod tests {
             mature_samples: GuideOptions::default().mature_samples,
             memory: 1 << 20,
         };
-        assert_eq!(parse(all).options(), expected);
+        assert_eq!(parse(all).options(true), expected);
     }
 
     #[test]
     fn idle_options_are_named_with_where_they_belong() {
         let idle = |text: &str, roulette: Roulette| {
             let args = parse(text);
-            let guide = args.options().mode;
+            let guide = args.options(false).mode;
             args.idle(&Estimators { guide, roulette, ..Default::default() })
         };
         let learnt = Roulette::Learnt;

@@ -96,7 +96,7 @@ struct TransportArgs {
     light_tree: Option<Switch>,
 
     /// End faint paths early, without bias: by their throughput, or by what their surroundings have learnt, which is
-    /// believed from 64 samples on [default: the scene's]
+    /// believed from 64 samples on [default: the scene's; learnt with a guide]
     #[arg(long, value_enum, value_name = "off|throughput|learnt", hide_possible_values = true)]
     roulette: Option<RouletteArg>,
 
@@ -255,6 +255,16 @@ pub struct Job {
 /// A ceiling for --error, which a black image never reaches.
 const MAX_SPP_WITH_ERROR: u32 = 65_536;
 
+/// Samples per pixel below which there is too little to be learnt for a guide to be tried unasked.
+const FEWEST_TO_GUIDE: u32 = 256;
+
+impl TransportArgs {
+    /// Whether anything is said of how paths end: it is to be so for all of them then, and a guide's trial would change it.
+    fn says_roulette(&self) -> bool {
+        self.roulette.is_some() || self.roulette_scale.is_some() || self.split.is_some()
+    }
+}
+
 impl RenderArgs {
     /// How many threads to run on, if not on all.
     pub fn threads(&self) -> Option<usize> {
@@ -282,7 +292,10 @@ impl RenderArgs {
         if self.images.features && !has("exr") {
             console::warning("--features has no effect: no output is an .exr");
         }
-        let mut options = render_options(self.size, &self.transport, &self.guide, &self.engine);
+        let tried =
+            stop.max_samples >= FEWEST_TO_GUIDE && scene.defaults.roulette && !self.transport.says_roulette();
+        let mut options = render_options(self.size, &self.transport, &self.guide, tried, &self.engine);
+        options.budget = stop.budget();
         let estimators = options.estimators(&scene);
         let guide = self.guide.check(&estimators, &outputs)?;
         options.guide_table = self.guide.loaded(&estimators)?;
@@ -351,6 +364,7 @@ fn render_options(
     size: Option<(u32, u32)>,
     transport: &TransportArgs,
     guide: &GuideArgs,
+    tried: bool,
     engine: &EngineArgs,
 ) -> RenderOptions {
     RenderOptions {
@@ -367,7 +381,8 @@ fn render_options(
         }),
         roulette_scale: transport.roulette_scale,
         split: transport.split,
-        guide: guide.options(),
+        guide: guide.options(tried),
+        budget: None,
         guide_table: None,
         sampler: match transport.sampler {
             SamplerArg::Stratified => Sampler::Stratified,

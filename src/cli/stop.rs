@@ -1,5 +1,6 @@
 //! When a render is done, and how many samples to ask for until then.
 
+use qtracer::Budget;
 use std::time::Duration;
 
 /// What the user asked for.
@@ -35,6 +36,15 @@ const FEWEST_SAMPLES_FOR_ERROR: u32 = 16;
 const TIME_MARGIN: f64 = 0.9;
 
 impl Stop {
+    /// What the render comes to, if that is known from the start.
+    pub fn budget(&self) -> Option<Budget> {
+        match self.goal {
+            Goal::Samples => Some(Budget::Samples(self.max_samples)),
+            Goal::Time(limit) => Some(Budget::Time(limit)),
+            Goal::Error(_) => None,
+        }
+    }
+
     pub fn needs_error(&self) -> bool {
         matches!(self.goal, Goal::Error(_))
     }

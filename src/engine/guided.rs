@@ -3,11 +3,12 @@
 
 use super::pilot::pilot;
 use super::strategy::{Pass, Planner};
-use super::{Engine, Estimators, RenderError, RenderOptions};
+use super::{Budget, Engine, Estimators, RenderError, RenderOptions};
 use crate::film::{CombinedFilm, Film, Image, rough_luminances};
 use crate::guiding::{GuideMode, GuideOptions, Learner, Stale};
 use crate::random::Sampler;
 use crate::scene::compiled::{CompiledScene, Uniforms};
+use std::time::Instant;
 
 /// Samples that an estimate of a pixel's luminance should rest on, its neighbours' included.
 const ESTIMATE_SAMPLES: f64 = 512.0;
@@ -33,6 +34,9 @@ pub struct Guided {
     /// What the engine had spent when the pass began: samples of each pixel, rays.
     spent: (u32, u64),
     pixels: f64,
+    budget: Option<Budget>,
+    /// When the first step had ended, and its samples: it is slow, since everything is new.
+    first_step: Option<(Instant, u32)>,
 }
 
 impl Guided {
@@ -71,12 +75,28 @@ impl Guided {
             stratified: estimators.sampler == Sampler::Stratified,
             spent: (0, 0),
             pixels: f64::from(pixels),
+            budget: options.budget,
+            first_step: None,
         }))
     }
 
     /// The sample at which the pass ends.
     pub fn end(&self) -> u32 {
         self.first_sample.saturating_add(self.pass.end)
+    }
+
+    /// Samples of each pixel that there will be when the budget is spent, if it tells, by the speed so far.
+    fn expected(&self, samples: u32) -> Option<u32> {
+        match self.budget? {
+            Budget::Samples(samples) => Some(samples),
+            Budget::Time(limit) => {
+                let (since, before) = self.first_step?;
+                let seconds = since.elapsed().as_secs_f64();
+                // Nothing is known after a single step.
+                let rate = Some(f64::from(samples - before) / seconds).filter(|rate| *rate > 0.0)?;
+                Some((rate * limit.as_secs_f64()) as u32)
+            }
+        }
     }
 
     /// Ends the pass if all its samples, of which there are `samples` by now, are in the film.
@@ -86,6 +106,8 @@ impl Guided {
         film: &Film,
         engine: &mut dyn Engine,
     ) -> Result<(), RenderError> {
+        let expected = self.expected(samples);
+        self.first_step.get_or_insert_with(|| (Instant::now(), samples));
         if samples < self.pass.end {
             return Ok(());
         }
@@ -101,7 +123,7 @@ impl Guided {
             self.stale = self.stale.max(self.learner.take_in(engine.commit()?, taken));
         }
         self.planner.judge(&self.pass, self.combined.variance(), rays_per_path);
-        let next = self.planner.next(samples);
+        let next = self.planner.next(samples, expected);
         // What goes on as it was is one pass: all its samples are alike. So is plain tracing after the prelude.
         if next.strategy != self.pass.strategy || self.pass.teaches() {
             self.combined.add_pass(film);

@@ -25,7 +25,7 @@ pub use crate::transport::estimators::Estimators;
 pub use auto::{preferred_engine, preferred_schedule};
 pub use batch::Batch;
 pub use error::RenderError;
-pub use options::{EngineChoice, EngineKind, RenderOptions};
+pub use options::{Budget, EngineChoice, EngineKind, RenderOptions};
 pub use renderer::Renderer;
 pub use show::GuideView;
 pub use stats::{

@@ -10,6 +10,7 @@ use crate::transport::roulette::Roulette;
 use crate::transport::split::MAX_SPLIT;
 use std::fmt;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// The engines, as they can be asked for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -40,6 +41,15 @@ impl fmt::Display for EngineKind {
     }
 }
 
+/// What a render is to come to in all.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Budget {
+    /// Samples per pixel.
+    Samples(u32),
+    /// Time, from when the renderer is ready.
+    Time(Duration),
+}
+
 /// Scale of learnt roulette that suits most scenes.
 const LEARNT_SCALE: f32 = 4.0;
 
@@ -68,6 +78,8 @@ pub struct RenderOptions {
     pub split: Option<u32>,
     /// Whether and how paths are guided by what earlier ones found.
     pub guide: GuideOptions,
+    /// How much will be rendered, as far as is known: a guide's `trial` is left out where what it costs could not be won back. It ends nothing.
+    pub budget: Option<Budget>,
     /// What was learnt before, to start from; its mode must be the one asked for. It may be of another scene
     /// ([`Learner::scene`] tells): it steers paths, and the image is right all the same.
     pub guide_table: Option<Arc<Learner>>,
