@@ -62,7 +62,7 @@ references() {
     for engine in wavefront megakernel; do
       echo "## ${pair%:*} against ${pair#*:}, $engine, 65536 independent samples a pixel"
       "$QTRACER" render "scenes/${pair%:*}.toml" --engine $engine --size $size --spp 65536 --sampler independent \
-        --direct-light on --roulette on --max-bounces 64 --no-features -o "$scratch/ours.exr" 2>&1 | grep wrote | sed 's/; wrote.*//'
+        --direct-light on --guide off --roulette throughput --max-bounces 64 --no-features -o "$scratch/ours.exr" 2>&1 | grep wrote | sed 's/; wrote.*//'
       "$QTRACER" compare "$scratch/ours.exr" "$reference" --z-test 2>/dev/null; echo "exit $?"; echo
     done
   done | tee "$OUT/references.md"
@@ -70,7 +70,7 @@ references() {
 
 growth() { # time and memory against samples and pixels
   local row
-  row() { echo "| $1 | $2 | $("$QTRACER" render scenes/$1.toml --size "$2" --spp "$3" --engine "$4" --seed 3 -q --no-features --stats json -o "$scratch/g.exr" 2>/dev/null |
+  row() { echo "| $1 | $2 | $("$QTRACER" render scenes/$1.toml --size "$2" --spp "$3" --engine "$4" --guide off --seed 3 -q --no-features --stats json -o "$scratch/g.exr" 2>/dev/null |
     python3 -c 'import json,sys; d=json.load(sys.stdin); n=d["paths"]; print(d["samples"], "|", d["engine"], "|", "%.1f" % (1e3*d["gpu_seconds"]), "|", "%.4f" % (1e9*d["gpu_seconds"]/n), "|", "%.1f" % (sum(d["buffers"].values())/2**20))') |"; }
   {
     echo "| scene | pixels | samples | engine | GPU ms | ns a sample | MiB of buffers |"; echo "|---|---|---|---|---|---|---|"

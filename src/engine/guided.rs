@@ -35,8 +35,8 @@ pub struct Guided {
     spent: (u32, u64),
     pixels: f64,
     budget: Option<Budget>,
-    /// When the first step had ended, and its samples: it is slow, since everything is new.
-    first_step: Option<(Instant, u32)>,
+    /// From when on speed is measured, and the samples by then: after the first step, which is slow, since everything is new.
+    measured_from: (Instant, u32),
 }
 
 impl Guided {
@@ -76,7 +76,7 @@ impl Guided {
             spent: (0, 0),
             pixels: f64::from(pixels),
             budget: options.budget,
-            first_step: None,
+            measured_from: (Instant::now(), 0),
         }))
     }
 
@@ -90,10 +90,8 @@ impl Guided {
         match self.budget? {
             Budget::Samples(samples) => Some(samples),
             Budget::Time(limit) => {
-                let (since, before) = self.first_step?;
-                let seconds = since.elapsed().as_secs_f64();
-                // Nothing is known after a single step.
-                let rate = Some(f64::from(samples - before) / seconds).filter(|rate| *rate > 0.0)?;
+                let (since, before) = self.measured_from;
+                let rate = f64::from(samples - before) / since.elapsed().as_secs_f64();
                 Some((rate * limit.as_secs_f64()) as u32)
             }
         }
@@ -107,7 +105,9 @@ impl Guided {
         engine: &mut dyn Engine,
     ) -> Result<(), RenderError> {
         let expected = self.expected(samples);
-        self.first_step.get_or_insert_with(|| (Instant::now(), samples));
+        if self.measured_from.1 == 0 {
+            self.measured_from = (Instant::now(), samples);
+        }
         if samples < self.pass.end {
             return Ok(());
         }

@@ -14,6 +14,7 @@ use crate::guiding::table::{FINER, NO_CELL};
 use crate::guiding::{Committed, GuideState, GuideTable, GuideUpdate};
 use crate::scene::Scene;
 use std::ops::Range;
+use std::time::Duration;
 
 /// An engine, and what came with each of the tables that it was given: rows, what is known.
 struct Watched<E> {
@@ -187,15 +188,41 @@ fn earlier_samples_fade_by_how_many_follow() {
 
 /// 40 samples with a guide, on trial or not.
 fn rendered(name: &str, trial: bool) -> Renderer {
+    rendered_of(name, trial, None, 40)
+}
+
+/// 40 samples of a budget, at first so many.
+fn rendered_of(name: &str, trial: bool, budget: Option<Budget>, first: u32) -> Renderer {
     let path = format!("{}/scenes/{name}.toml", env!("CARGO_MANIFEST_DIR"));
     let scene = Scene::load(path).expect("the scene loads");
     let guide = GuideOptions { mode: GuideMode::Adaptive, trial, ..Default::default() };
-    let options = RenderOptions { guide, size: Some((16, 12)), ..RenderOptions::cpu() };
+    let options = RenderOptions { guide, budget, size: Some((16, 12)), ..RenderOptions::cpu() };
     let mut renderer = Renderer::new(&scene, options).expect("it starts");
+    renderer.step(first).expect("it renders");
     while renderer.samples() < 40 {
         renderer.step(40 - renderer.samples()).expect("it renders");
     }
     renderer
+}
+
+/// Whatever the steps are, nothing is learnt where too few samples are to come to win it back. A sample takes microseconds to
+/// milliseconds.
+#[test]
+fn the_budget_tells_whether_a_guide_is_tried() {
+    let (few, many) = (Duration::from_nanos(1), Duration::from_secs(100_000));
+    for first in [1, 40] {
+        for (budget, tried) in [
+            (None, true),
+            (Some(Budget::Samples(40)), false),
+            (Some(Budget::Samples(100_000)), true),
+            (Some(Budget::Time(few)), false),
+            (Some(Budget::Time(many)), true),
+        ] {
+            let renderer = rendered_of("bansal-room-5", true, budget, first);
+            let learnt = renderer.learner().expect("it may learn").samples() > 0;
+            assert_eq!(learnt, tried, "{budget:?}, {first} samples first");
+        }
+    }
 }
 
 /// Of the sum by weights, not of the film's plain one.
