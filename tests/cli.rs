@@ -946,6 +946,35 @@ fn roulette_has_a_name_and_is_still_switched_on_and_off() {
     assert_eq!(place.image("a.exr").metadata.get("roulette"), Some("learnt"));
 }
 
+/// Not for few samples, nor where something is said of how paths end; and where it is not taken, the image says so.
+#[test]
+fn a_guide_is_tried_unasked_where_there_is_something_to_be_learnt() {
+    let place = Place::new();
+    let scene = BALL.replace("[render]", "[render]\nroulette = false");
+    fs::write(place.path("firm.toml"), scene).unwrap();
+    let tried = |args: &[&str]| {
+        let outcome = place.succeed(&[&["render"], args, &["-q", "--stats", "json", "-o", "a.exr"]].concat());
+        let stats: serde_json::Value = serde_json::from_str(&outcome.stdout).unwrap();
+        stats.get("guide").is_some()
+    };
+    assert!(tried(&["ball.toml", "--spp", "256"]) && tried(&["ball.toml", "--time", "10ms"]));
+    let image = place.image("a.exr").metadata;
+    assert_eq!((image.get("guide"), image.get("roulette")), (Some("off"), Some("throughput")), "10 ms");
+    for args in [
+        &["ball.toml", "--spp", "255"][..],
+        &["ball.toml", "--spp", "256", "--guide", "off"],
+        &["ball.toml", "--spp", "256", "--roulette", "throughput"],
+        &["ball.toml", "--spp", "256", "--roulette-scale", "2"],
+        &["firm.toml", "--spp", "256"],
+    ] {
+        assert!(!tried(args), "{args:?}");
+    }
+    let outcome =
+        place.succeed(&["render", "firm.toml", "--spp", "64", "--guide", "adaptive", "-q", "-o", "a.exr"]);
+    assert_eq!(outcome.code, Some(0));
+    assert_eq!(place.image("a.exr").metadata.get("guide"), Some("adaptive"));
+}
+
 #[test]
 fn figures_tell_what_was_learnt_and_only_then() {
     let place = Place::new();

@@ -8,6 +8,7 @@ use crate::film::{CombinedFilm, Film, Image, rough_luminances};
 use crate::guiding::{GuideMode, GuideOptions, Learner, Stale};
 use crate::random::Sampler;
 use crate::scene::compiled::{CompiledScene, Uniforms};
+use crate::transport::roulette::Roulette;
 use std::time::Instant;
 
 /// Samples that an estimate of a pixel's luminance should rest on, its neighbours' included.
@@ -34,6 +35,8 @@ pub struct Guided {
     /// What the engine had spent when the pass began: samples of each pixel, rays.
     spent: (u32, u64),
     pixels: f64,
+    /// Whether any pass asked the table.
+    informed: bool,
     budget: Option<Budget>,
     /// From when on speed is measured, and the samples by then: after the first step, which is slow, since everything is new.
     measured_from: (Instant, u32),
@@ -75,6 +78,7 @@ impl Guided {
             stratified: estimators.sampler == Sampler::Stratified,
             spent: (0, 0),
             pixels: f64::from(pixels),
+            informed: pass.strategy.informed,
             budget: options.budget,
             measured_from: (Instant::now(), 0),
         }))
@@ -129,6 +133,7 @@ impl Guided {
             self.combined.add_pass(film);
         }
         self.pass = next;
+        self.informed |= next.strategy.informed;
         self.spent = (samples, rays);
         engine.set_pass(&self.pass)?;
         if self.pass.strategy.informed {
@@ -158,6 +163,11 @@ impl Guided {
         let earlier = self.spent.0;
         let later = film.pixels().first().map_or(0, |pixel| pixel.count).saturating_sub(u64::from(earlier));
         faded(earlier, later.try_into().unwrap_or(u32::MAX))
+    }
+
+    /// How paths ended, if no pass so far asked the table: with a trial that may be all there is.
+    pub fn plain_so_far(&self) -> Option<Roulette> {
+        (!self.informed).then_some(self.pass.strategy.roulette)
     }
 
     /// What was learnt so far.

@@ -138,11 +138,14 @@ impl Renderer {
         metadata.set("max_bounces", self.estimators.max_bounces);
         metadata.set("sampler", format!("{:?}", self.estimators.sampler).to_lowercase());
         metadata.set("direct_light", self.estimators.direct_light);
-        metadata.set("roulette", self.estimators.roulette);
+        let (guide, roulette) = match self.guided.as_ref().and_then(Guided::plain_so_far) {
+            Some(roulette) => (GuideMode::Off, roulette),
+            None => (self.estimators.guide, self.estimators.roulette),
+        };
+        metadata.set("roulette", roulette);
         if self.estimators.places() > 1 {
             metadata.set("split", self.estimators.places());
         }
-        let guide = self.estimators.guide;
         match self.learner().filter(|_| guide.is_biased()) {
             Some(learner) => {
                 metadata.set("guide", format!("{guide} (biased)"));
