@@ -969,6 +969,20 @@ fn a_guide_is_tried_unasked_where_there_is_something_to_be_learnt() {
     ] {
         assert!(!tried(args), "{args:?}");
     }
+    // Where there is no room for one, none is tried; who asks for one is told.
+    let small = ["render", "ball.toml", "--spp", "256", "--guide-memory", "1K", "-o", "a.exr"];
+    let outcome = place.succeed(&small);
+    assert!(outcome.stderr.contains("no guide is tried: guiding would need"), "{}", outcome.stderr);
+    place.refuses(&[&small[..], &["--guide", "auto"]].concat(), &["guiding would need"]);
+    // By the samples to come nothing is learnt in a scene that is noisy enough to begin with.
+    let room = format!("{}/scenes/bansal-room-5.toml", env!("CARGO_MANIFEST_DIR"));
+    let lessons = |size: &str, spp: &str| {
+        let render = ["render", &room, "--size", size, "--engine", "cpu", "-q", "--stats", "json"];
+        let stdout = place.succeed(&[&render[..], &["-o", "a.exr", "--spp", spp]].concat()).stdout;
+        serde_json::from_str::<serde_json::Value>(&stdout).unwrap()["guide"]["learning_samples"].as_u64()
+    };
+    assert_eq!(lessons("48x36", "256"), Some(0));
+    assert!(lessons("16x12", "4096") > Some(0));
     let outcome =
         place.succeed(&["render", "firm.toml", "--spp", "64", "--guide", "adaptive", "-q", "-o", "a.exr"]);
     assert_eq!(outcome.code, Some(0));

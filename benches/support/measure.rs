@@ -35,11 +35,13 @@ impl Checks {
     }
 
     /// What a render comes to.
-    pub fn budget(&self) -> Option<Budget> {
+    pub fn budget(&self) -> Budget {
+        let (mut budget, seconds) = (Budget::default(), |s: &f64| Duration::from_secs_f64(*s));
         match self {
-            Checks::Seconds(seconds) => seconds.last().map(|s| Budget::Time(Duration::from_secs_f64(*s))),
-            Checks::Samples(samples) => samples.last().map(|n| Budget::Samples(*n)),
+            Checks::Seconds(goals) => budget.time = goals.last().map(seconds),
+            Checks::Samples(goals) => budget.samples = goals.last().copied(),
         }
+        budget
     }
 
     fn reached(&self, check: usize, seconds: f64, samples: u32) -> bool {

@@ -41,8 +41,8 @@ fn default() -> GuideOptions {
 #[derive(Args)]
 pub struct GuideArgs {
     /// Learn where light comes from, and send paths there. auto is adaptive where it turns out to pay, else off;
-    /// bansal is that paper's rule, which is biased; all others converge to the truth [default: auto; off below 256
-    /// samples, in scenes without roulette, and with --roulette, --roulette-scale or --split]
+    /// bansal is that paper's rule, which is biased; all others converge to the truth [default: auto; off with
+    /// --spp or --max-spp below 256, in scenes that switch roulette off, and with --roulette, --roulette-scale or --split]
     #[arg(long, value_enum)]
     guide: Option<GuideArg>,
 
@@ -121,6 +121,8 @@ pub struct GuideJob {
     pub show: Option<GuideView>,
     /// Whether .exr images get what was learnt.
     pub layers: bool,
+    /// Whether nothing was said of a guide: the render goes on without one where none can be had.
+    pub unasked: bool,
 }
 
 impl GuideArgs {
@@ -209,6 +211,7 @@ impl GuideArgs {
                 ShowArg::Entropy => GuideView::Entropy,
             }),
             layers: self.guide_layers || self.show.is_some(),
+            unasked: self.guide.is_none(),
         })
     }
 

@@ -15,7 +15,8 @@ Examples:
   qtracer render room.toml --spp 512 -o a.exr
   qtracer render room.toml --spp 512 --first-sample 512 -o b.exr
   qtracer merge a.exr b.exr -o room.exr
-      The same as one render of 1024 samples, to about 1e-6 (the library's Film::merge: to the bit).
+      As good as one render of 1024 samples; with --guide off the same, to about 1e-6 (the library's Film::merge:
+      to the bit).
   qtracer merge seed1.exr seed2.exr seed3.exr -o room.exr
       Renders of different seeds can be merged too.
   qtracer merge room.exr c.exr -o room.exr

@@ -11,7 +11,8 @@ use super::stop::{Goal, State};
 use super::waiting;
 use qtracer::engine::GuideView;
 use qtracer::film::{WriteOptions, write_image};
-use qtracer::{EngineKind, Image, RenderError, RenderStats, Renderer, Scene};
+use qtracer::guiding::GuideOptions;
+use qtracer::{EngineKind, Image, RenderError, RenderOptions, RenderStats, Renderer, Scene};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -26,9 +27,10 @@ pub fn run(args: RenderArgs) -> Result<(), Failure> {
     }
     let slot = signals::watch();
     let start = Instant::now();
-    let prepared = || Renderer::new(&job.scene, job.options.clone());
-    let mut renderer =
+    let prepared = || renderer_of(&job);
+    let (mut renderer, unguided) =
         waiting::during(&preparing(&job.scene), job.quiet, prepared).map_err(|e| Failure::of_start(&e))?;
+    unguided.iter().for_each(|reason| note(&job, format!("no guide is tried: {reason}")));
     slot.get_or_init(|| renderer.cancel_token());
     let preparation = start.elapsed();
     renderer.notices().iter().for_each(|text| note(&job, text));
@@ -36,6 +38,19 @@ pub fn run(args: RenderArgs) -> Result<(), Failure> {
     warn_of_other_scene(&job, &renderer);
     let (end, elapsed) = trace(&mut renderer, &job);
     Ending::new(&job, &renderer, end, preparation, elapsed).conclude()
+}
+
+/// The renderer, and why it does without a guide that nobody had asked for, if there is none to be had.
+fn renderer_of(job: &Job) -> Result<(Renderer, Option<RenderError>), RenderError> {
+    let renderer = |options| Renderer::new(&job.scene, options);
+    match renderer(job.options.clone()) {
+        Err(reason) if job.guide.unasked && job.options.guide.trial => {
+            let plain = RenderOptions { guide: GuideOptions::default(), ..job.options.clone() };
+            // What is wrong without a guide, too, is told as what it is.
+            renderer(plain).map(|renderer| (renderer, Some(reason)))
+        }
+        made => made.map(|renderer| (renderer, None)),
+    }
 }
 
 fn limit_threads(threads: Option<usize>) -> Result<(), Failure> {

@@ -101,7 +101,7 @@ struct TransportArgs {
     roulette: Option<RouletteArg>,
 
     /// Let this many times as many paths survive roulette: slower, less noisy
-    /// [default: 1; learnt: 4]
+    /// [default: 1; learnt roulette and --guide auto: 4]
     #[arg(long, value_name = "X", value_parser = values::factor, allow_negative_numbers = true)]
     roulette_scale: Option<f32>,
 
@@ -117,7 +117,8 @@ struct TransportArgs {
 
 #[derive(Args)]
 struct EngineArgs {
-    /// auto takes a real GPU where there is one, else the CPU; all engines give the same image
+    /// auto takes a real GPU where there is one, else the CPU; all engines give the same image, guided ones
+    /// to within noise
     #[arg(long, value_enum, default_value_t = EngineArg::Auto)]
     engine: EngineArg,
 
@@ -382,7 +383,7 @@ fn render_options(
         roulette_scale: transport.roulette_scale,
         split: transport.split,
         guide: guide.options(tried),
-        budget: None,
+        budget: Default::default(),
         guide_table: None,
         sampler: match transport.sampler {
             SamplerArg::Stratified => Sampler::Stratified,

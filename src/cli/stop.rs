@@ -36,12 +36,13 @@ const FEWEST_SAMPLES_FOR_ERROR: u32 = 16;
 const TIME_MARGIN: f64 = 0.9;
 
 impl Stop {
-    /// What the render comes to, if that is known from the start.
-    pub fn budget(&self) -> Option<Budget> {
+    /// What the render comes to.
+    pub fn budget(&self) -> Budget {
+        let ceiling = Budget { samples: Some(self.max_samples), ..Default::default() };
         match self.goal {
-            Goal::Samples => Some(Budget::Samples(self.max_samples)),
-            Goal::Time(limit) => Some(Budget::Time(limit)),
-            Goal::Error(_) => None,
+            Goal::Samples => ceiling,
+            Goal::Time(limit) => Budget { time: Some(limit), ..ceiling },
+            Goal::Error(limit) => Budget { error: Some(limit), ..ceiling },
         }
     }
 
@@ -104,6 +105,15 @@ mod tests {
 
     fn stop(goal: Goal, max_samples: u32) -> Stop {
         Stop { goal, max_samples }
+    }
+
+    #[test]
+    fn a_budget_is_the_goal_and_the_ceiling() {
+        let of = |goal| Stop { goal, max_samples: 300 }.budget();
+        let (second, ceiling) = (Duration::from_secs(1), Budget { samples: Some(300), ..Default::default() });
+        assert_eq!(of(Goal::Samples), ceiling);
+        assert_eq!(of(Goal::Time(second)), Budget { time: Some(second), ..ceiling });
+        assert_eq!(of(Goal::Error(0.1)), Budget { error: Some(0.1), ..ceiling });
     }
 
     #[test]

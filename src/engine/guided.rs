@@ -37,7 +37,7 @@ pub struct Guided {
     pixels: f64,
     /// Whether any pass asked the table.
     informed: bool,
-    budget: Option<Budget>,
+    budget: Budget,
     /// From when on speed is measured, and the samples by then: after the first step, which is slow, since everything is new.
     measured_from: (Instant, u32),
 }
@@ -89,16 +89,12 @@ impl Guided {
         self.first_sample.saturating_add(self.pass.end)
     }
 
-    /// Samples of each pixel that there will be when the budget is spent, if it tells, by the speed so far.
-    fn expected(&self, samples: u32) -> Option<u32> {
-        match self.budget? {
-            Budget::Samples(samples) => Some(samples),
-            Budget::Time(limit) => {
-                let (since, before) = self.measured_from;
-                let rate = f64::from(samples - before) / since.elapsed().as_secs_f64();
-                Some((rate * limit.as_secs_f64()) as u32)
-            }
-        }
+    /// Samples of each pixel that there will be when the budget is spent, if it tells, by speed and noise so far.
+    fn expected(&self, samples: u32, film: &Film) -> Option<u32> {
+        let (since, before) = self.measured_from;
+        let rate = f64::from(samples - before) / since.elapsed().as_secs_f64();
+        let error = self.budget.error.map_or(0.0, |_| film.relative_error());
+        self.budget.expected(samples, rate, error)
     }
 
     /// Ends the pass if all its samples, of which there are `samples` by now, are in the film.
@@ -108,13 +104,13 @@ impl Guided {
         film: &Film,
         engine: &mut dyn Engine,
     ) -> Result<(), RenderError> {
-        let expected = self.expected(samples);
-        if self.measured_from.1 == 0 {
-            self.measured_from = (Instant::now(), samples);
-        }
         if samples < self.pass.end {
+            if self.measured_from.1 == 0 {
+                self.measured_from = (Instant::now(), samples);
+            }
             return Ok(());
         }
+        let expected = self.expected(samples, film);
         if self.pass.teaches() {
             engine.begin_commit();
         }

@@ -188,11 +188,11 @@ fn earlier_samples_fade_by_how_many_follow() {
 
 /// 40 samples with a guide, on trial or not.
 fn rendered(name: &str, trial: bool) -> Renderer {
-    rendered_of(name, trial, None, 40)
+    rendered_of(name, trial, Budget::default(), 40)
 }
 
 /// 40 samples of a budget, at first so many.
-fn rendered_of(name: &str, trial: bool, budget: Option<Budget>, first: u32) -> Renderer {
+fn rendered_of(name: &str, trial: bool, budget: Budget, first: u32) -> Renderer {
     let path = format!("{}/scenes/{name}.toml", env!("CARGO_MANIFEST_DIR"));
     let scene = Scene::load(path).expect("the scene loads");
     let guide = GuideOptions { mode: GuideMode::Adaptive, trial, ..Default::default() };
@@ -211,12 +211,16 @@ fn rendered_of(name: &str, trial: bool, budget: Option<Budget>, first: u32) -> R
 fn the_budget_tells_whether_a_guide_is_tried() {
     let (few, many) = (Duration::from_nanos(1), Duration::from_secs(100_000));
     for first in [1, 40] {
+        let of = |samples, time, error| Budget { samples, time, error };
         for (budget, tried) in [
-            (None, true),
-            (Some(Budget::Samples(40)), false),
-            (Some(Budget::Samples(100_000)), true),
-            (Some(Budget::Time(few)), false),
-            (Some(Budget::Time(many)), true),
+            (of(None, None, None), true),
+            (of(Some(40), None, None), false),
+            (of(Some(100_000), None, None), true),
+            (of(None, Some(few), None), false),
+            (of(None, Some(many), None), true),
+            (of(Some(40), Some(many), None), false),
+            (of(None, None, Some(0.5)), false),
+            (of(None, None, Some(1e-4)), true),
         ] {
             let renderer = rendered_of("bansal-room-5", true, budget, first);
             let learnt = renderer.learner().expect("it may learn").samples() > 0;

@@ -41,13 +41,26 @@ impl fmt::Display for EngineKind {
     }
 }
 
-/// What a render is to come to in all.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Budget {
+/// What a render is to come to in all, as far as is known: whichever is reached first.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Budget {
     /// Samples per pixel.
-    Samples(u32),
-    /// Time, from when the renderer is ready.
-    Time(Duration),
+    pub samples: Option<u32>,
+    /// Time from when the renderer is ready.
+    pub time: Option<Duration>,
+    /// Relative standard error, as [`Film::relative_error`](crate::Film::relative_error) defines it.
+    pub error: Option<f64>,
+}
+
+impl Budget {
+    /// Samples per pixel that it comes to, at `rate` samples a second and with a relative error of `error` after `samples`; `None` if it
+    /// says nothing.
+    pub(super) fn expected(&self, samples: u32, rate: f64, error: f64) -> Option<u32> {
+        let by_time = self.time.map(|limit| rate * limit.as_secs_f64());
+        let by_error = self.error.map(|limit| f64::from(samples) * (error / limit).powi(2));
+        let all = [self.samples.map(f64::from), by_time, by_error];
+        all.into_iter().flatten().filter(|n| !n.is_nan()).reduce(f64::min).map(|n| n as u32)
+    }
 }
 
 /// Scale of learnt roulette that suits most scenes.
@@ -78,8 +91,9 @@ pub struct RenderOptions {
     pub split: Option<u32>,
     /// Whether and how paths are guided by what earlier ones found.
     pub guide: GuideOptions,
-    /// How much will be rendered, as far as is known: a guide's `trial` is left out where what it costs could not be won back. It ends nothing.
-    pub budget: Option<Budget>,
+    /// How much will be rendered: a guide's `trial` is left out where what it costs could not be won back. It ends nothing. With a
+    /// time, the same seed may decide otherwise on a machine of another speed.
+    pub budget: Budget,
     /// What was learnt before, to start from; its mode must be the one asked for. It may be of another scene
     /// ([`Learner::scene`] tells): it steers paths, and the image is right all the same.
     pub guide_table: Option<Arc<Learner>>,
@@ -214,6 +228,22 @@ mod tests {
             RenderError::Option { option, value, remedy } => Some((option, format!("{value}: {remedy}"))),
             other => panic!("{other}"),
         }
+    }
+
+    /// Whichever is reached first.
+    #[test]
+    fn a_budget_is_counted_in_samples() {
+        let (time, half) = (Some(Duration::from_secs(2)), Some(0.5));
+        let of = |samples, time, error| Budget { samples, time, error }.expected(16, 100.0, 2.0);
+        assert_eq!(of(None, None, None), None);
+        assert_eq!(
+            [of(Some(9), None, None), of(None, time, None), of(None, None, half)],
+            [Some(9), Some(200), Some(256)]
+        );
+        assert_eq!(
+            [of(Some(999), time, half), of(Some(9), time, half), of(None, None, Some(0.0))],
+            [Some(200), Some(9), Some(u32::MAX)]
+        );
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Which way of tracing pays: a guide costs time per ray, and roulette trades rays for noise. The first samples, which do
 //! without, and the passes that learn tell, by noise × cost, and all of them are part of the image.
 //!
-//! Cost is counted in rays, not in seconds, so that the same seed always decides alike.
+//! Cost is counted in rays, not in seconds, so that the same seed decides alike. (But for a budget of time: whether one is tried at all.)
 
 use super::{EngineKind, Estimators, RenderOptions};
 use crate::guiding::GuideMode;
@@ -72,9 +72,8 @@ const ENOUGH: f64 = 3000.0;
 /// breaking strata up. Measured: on bansal-room-5 (H100, 4 s) variance and cost promise 1.5 times the efficiency of plain
 /// tracing, and it is 1.37 times; on glossy-box 1.2 times, and it is 1.27.
 const STRATA_LOSS: f64 = 1.1;
-/// Plain tracing's roulette: the best of 1, 4, 16 and off on most scenes (docs/GUIDING.md).
-const PLAIN: Strategy =
-    Strategy { informed: false, roulette: Roulette::Throughput, roulette_scale: 4.0, ripe: false };
+/// Scale of plain tracing's roulette, if none is asked for: the best of 1, 4, 16 and off on most scenes (docs/GUIDING.md).
+const PLAIN_SCALE: f32 = 4.0;
 
 /// What a ray costs, in units of one that meets no shape.
 #[derive(Clone, Copy, Debug)]
@@ -108,10 +107,12 @@ impl CostModel {
 /// The strategy that does without the table, None if it is not to be tried.
 pub fn plain_strategy(options: &RenderOptions, estimators: Estimators) -> Option<Strategy> {
     let tried = options.guide.trial && estimators.guide != GuideMode::Off;
-    tried.then_some(match estimators.roulette {
-        Roulette::Off => Strategy { roulette: Roulette::Off, ..PLAIN },
-        _ => PLAIN,
-    })
+    let roulette = match estimators.roulette {
+        Roulette::Off => Roulette::Off,
+        _ => Roulette::Throughput,
+    };
+    let roulette_scale = options.roulette_scale.unwrap_or(PLAIN_SCALE);
+    tried.then_some(Strategy { informed: false, roulette, roulette_scale, ripe: false })
 }
 
 /// Decides the passes of a render.
@@ -122,7 +123,7 @@ pub struct Planner {
     plain: Option<Judged>,
     /// The informed one as it was in the last pass that ended paths by throughput, as long as roulette by what was learnt is
     /// to be compared with it. Scenes of mirrors and glass need that: a cell's mean does not know which way they send a path
-    /// (bansal-exp-2: 4.6 times the noise of a sample, 0.7 of its cost).
+    /// (bansal-exp-2: 4.4 times the variance of a sample, 0.7 of its cost).
     unripe: Option<Judged>,
     /// Of roulette by what was learnt.
     roulette_scale: f32,
@@ -161,9 +162,12 @@ impl Planner {
         let Estimators { roulette, roulette_scale, .. } = estimators;
         let tests = tests_per_ray * if estimators.direct_light { 2 } else { 1 };
         let plain = plain_strategy(options, estimators);
+        let mature = options.guide.mature_samples;
         let ripens = match (roulette, &options.guide_table, plain) {
             (Roulette::Learnt, Some(_), None) => 0, // What was loaded has been learnt already.
-            (Roulette::Learnt, ..) => options.guide.mature_samples,
+            (Roulette::Learnt, Some(_), Some(_)) => mature,
+            // What fewer samples taught never gets better than it was when the last pass began.
+            (Roulette::Learnt, None, _) if options.guide.lessons().next_power_of_two() >= mature => mature,
             _ => u32::MAX,
         };
         Planner {
@@ -247,8 +251,8 @@ impl Planner {
         let Strategy { roulette, .. } = self.informed.strategy;
         let ripe = samples >= self.ripens;
         // Where there is a choice, paths end by throughput as they do in plain tracing.
-        let as_plain = roulette == Roulette::Learnt && !ripe && self.plain.is_some();
-        let roulette_scale = if as_plain { PLAIN.roulette_scale } else { self.roulette_scale };
+        let plain = self.plain.filter(|_| roulette == Roulette::Learnt && !ripe);
+        let roulette_scale = plain.map_or(self.roulette_scale, |plain| plain.strategy.roulette_scale);
         Strategy { informed: true, roulette, roulette_scale, ripe }
     }
 
@@ -264,7 +268,7 @@ impl Planner {
         let strategy = self.informed_at(samples);
         let roulette = match strategy.ripe {
             true => self.unripe.map_or(u32::MAX, |_| samples.saturating_add(TASTE)),
-            // The last pass does not go on by throughput past the sample at which roulette ripens.
+            // With a loaded guide there may be nothing left to learn.
             false if !learning => self.ripens,
             false => u32::MAX,
         };
@@ -275,7 +279,16 @@ impl Planner {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::guiding::GuideOptions;
+
+    const PLAIN: Strategy = Strategy {
+        informed: false,
+        roulette: Roulette::Throughput,
+        roulette_scale: PLAIN_SCALE,
+        ripe: false,
+    };
+    use crate::guiding::{GuideOptions, Learner};
+    use glam::Vec3;
+    use std::sync::Arc;
 
     fn planner(trial: bool, sampler: Sampler) -> Planner {
         planner_of(trial, sampler, 10)
@@ -392,9 +405,24 @@ mod tests {
         let strategies = roulettes(planner(), 1.0, 100.0, 1.0);
         assert!(strategies.iter().all(|(end, strategy)| strategy.ripe == (*end > 64)));
         assert!(strategies.iter().all(|(_, strategy)| strategy.roulette_scale == 2.5));
-        // Even if nothing is learnt any more by then.
-        let few = Planner { learning_samples: 8, ..planner() };
-        assert_eq!(ends(&passes(few, 1.0, 1.0)), [4, 8, 64, u32::MAX]);
+        // But not by what fewer samples have taught.
+        let ripens = |samples, table: Option<Arc<Learner>>, trial| {
+            let guide = GuideOptions {
+                mode: GuideMode::Adaptive,
+                learning_samples: Some(samples),
+                trial,
+                ..Default::default()
+            };
+            let options = RenderOptions { guide, guide_table: table, ..Default::default() };
+            let estimators =
+                Estimators { roulette: Roulette::Learnt, guide: GuideMode::Adaptive, ..Default::default() };
+            Planner::new(&options, estimators, EngineKind::Cpu, 10).ripens
+        };
+        assert_eq!([32, 33, 64].map(|n| ripens(n, None, false)), [u32::MAX, 64, 64]);
+        // What was loaded is ripe, and compared all the same.
+        let options = GuideOptions { mode: GuideMode::Adaptive, ..Default::default() };
+        let learner = Arc::new(Learner::new(options, Vec3::ZERO, Vec3::ONE, 1.0).expect("it fits"));
+        assert_eq!([false, true].map(|trial| ripens(0, Some(learner.clone()), trial)), [0, 64]);
     }
 
     #[test]
