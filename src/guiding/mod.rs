@@ -89,7 +89,7 @@ pub struct GuideOptions {
     pub learning_samples: Option<u32>,
     /// Samples per pixel from which on learnt roulette goes by what was learnt; before, paths end by throughput. What cells
     /// know after a few samples is so rough that roulette by it brought 3 to 9 times the noise at 16 (docs/GUIDING.md). With a `trial`, it
-    /// goes on by throughput where that does better.
+    /// goes on by throughput where that does better; and always where fewer samples than these teach.
     pub mature_samples: u32,
     /// Bytes that the table may take.
     pub memory: u64,
@@ -125,7 +125,7 @@ pub struct GuideProblem {
 
 impl GuideOptions {
     /// Samples per pixel that teach, given or not: 511, for octants 128. What eight octants are worth is known sooner than what
-    /// the leaves of quadtrees are, and a sample that teaches costs a third more (docs/GUIDING.md, Cost).
+    /// the leaves of quadtrees are, and a sample that teaches costs a sixth more (docs/GUIDING.md, Cost).
     pub fn lessons(&self) -> u32 {
         self.learning_samples.unwrap_or(match self.mode {
             GuideMode::Octant => 128,
