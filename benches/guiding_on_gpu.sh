@@ -4,10 +4,10 @@
 # table and a page.
 #   cargo build --release && cargo bench --no-run --bench speed_vs_error
 #   QTRACER=target/release/qtracer SPEED_VS_ERROR=target/release/deps/speed_vs_error-HASH \
-#   REFERENCES=DIR_WITH_MITSUBA_EXR OUT=benches/results/DATE-DEVICE benches/guiding_on_gpu.sh [door-main|door|seed5-main|seed5|indirect|equal|references|scenes|long]…
+#   REFERENCES=DIR_WITH_MITSUBA_EXR OUT=benches/results/DATE-DEVICE benches/guiding_on_gpu.sh [door-main|door|seed5-main|seed5|indirect|equal|references|scenes|cost|long]…
 set -u
 : "${QTRACER:?}" "${SPEED_VS_ERROR:?}" "${OUT:?}"
-parts=${*:-door seed5 indirect equal references scenes long}
+parts=${*:-door seed5 indirect equal references scenes cost long}
 mkdir -p "$OUT"
 scratch=$(mktemp -d)
 "$QTRACER" info > "$OUT/device.txt"
@@ -24,7 +24,7 @@ door() {
   door-main
   efficiency door-1s door-ajar 5 1 off:throughput:1 off:throughput:4 off:off off:learnt adaptive octant --epsilon 1e-4
 }
-seed5-main() { efficiency seed5 bansal-room-5 5 1,4 auto adaptive off:throughput:4; }
+seed5-main() { efficiency seed5 bansal-room-5 10 1,4 auto off:throughput:4; }
 seed5() {
   seed5-main
   efficiency seed5-1s bansal-room-5 3 1 auto off:throughput:1 off:throughput:4 off:throughput:16 off:off off:learnt adaptive octant
@@ -48,14 +48,30 @@ references() {
     done
   done | tee "$OUT/references.md"
 }
-scenes() {
-  for scene in bansal-exp-1 bansal-exp-3 bansal-room-1 cornell-box glass-caustic glossy-box many-lights; do
-    efficiency scenes $scene 2 4 auto off:throughput:4
-    efficiency scenes-1s $scene 2 1 off:throughput:1 off:throughput:16 off:off
+scenes() { # every scene: what auto keeps of plain tracing's efficiency; some 20 s each
+  for file in scenes/*.toml; do
+    local scene seeds=2; scene=$(basename "$file" .toml)
+    case $scene in
+      door-ajar | bansal-room-5) continue ;; # parts of their own
+      still-life | glossy-box | bansal-exp-2 | bansal-exp-3) seeds=4 ;; # near the bound
+    esac
+    efficiency scenes "$scene" $seeds 4 auto off:throughput:4
   done
-  for scene in bansal-exp-2 furnace-closed-50 furnace-closed-90 furnace-open furnace-open-half; do
-    efficiency scenes-1s $scene 2 1 auto off:throughput:4
-  done
+}
+cost() { # what a guide adds to a sample, nothing said of errors
+  local guide="$scratch/octant.guide" plain="scenes/door-ajar.toml --size 640x480 --engine wavefront --direct-light on --max-bounces 64 --roulette off --no-features -q"
+  "$QTRACER" render $plain --spp 64 --guide octant --guide-learning 64 --save-guide "$guide" -o "$scratch/learnt.exr" 2>/dev/null
+  {
+    echo "| door-ajar, wavefront, no roulette, 4 s | ns a ray | rays a path | ns a sample | samples |"; echo "|---|---|---|---|---|"
+    for _ in 1 2 3; do
+      for way in "off" "octant --load-guide $guide --guide-learning 0 --seed 2" "octant" "adaptive"; do
+        "$QTRACER" render $plain --time 4s --guide $way --stats json -o "$scratch/cost.exr" 2>/dev/null |
+          WAY="${way%% --load*}$([[ $way == *load* ]] && echo ", loaded")" python3 -c 'import json,os,sys
+d = json.load(sys.stdin); ns, rays, paths = 1e9 * d["gpu_seconds"], d["rays"], d["paths"]
+print("| %s | %.4f | %.1f | %.3f | %d |" % (os.environ["WAY"], ns / rays, rays / paths, ns / paths, d["samples"]))'
+      done
+    done
+  } | tee "$OUT/cost.md"
 }
 long() { efficiency long door-ajar 2 16 auto --epsilon 1e-4; efficiency long bansal-room-5 2 16 auto; }
 
