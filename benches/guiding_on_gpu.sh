@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # What docs/GUIDING.md claims about guiding on a GPU, in one session: efficiency against plain tracing, equal samples,
-# z-tests against the independent images, Bansal's bias. Each part of the first two has a folder of its own with rows, a
+# z-tests against the independent images, Bansal's bias, what a guide adds to a sample. Each part of the first two has a folder of its own with rows, a
 # table and a page.
 #   cargo build --release && cargo bench --no-run --bench speed_vs_error
 #   QTRACER=target/release/qtracer SPEED_VS_ERROR=target/release/deps/speed_vs_error-HASH \

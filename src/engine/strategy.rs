@@ -1,7 +1,8 @@
 //! Which way of tracing pays: a guide costs time per ray, and roulette trades rays for noise. The first samples, which do
 //! without, and the passes that learn tell, by noise × cost, and all of them are part of the image.
 //!
-//! Cost is counted in rays, not in seconds, so that the same seed decides alike. (But for a budget of time: whether one is tried at all.)
+//! Cost is counted in rays, not in seconds, so that the same seed decides alike. (But for a budget of time, by which it depends
+//! on the clock whether a guide is tried at all.)
 
 use super::{EngineKind, Estimators, RenderOptions};
 use crate::guiding::GuideMode;
@@ -64,9 +65,9 @@ const SMOOTH: f64 = 0.8;
 /// Mean rays of a plain path below which it is not worth its while there, either: little light comes by way of other surfaces, and
 /// what noise there is strata take away.
 const SHORT: f64 = 2.5;
-/// Samples per pixel in all, times a plain sample's relative variance, below which a guide that has everything to learn is not tried: what
-/// that costs is not won back. Measured on a CPU, which learns from few pixels: bansal-room-5 had 0.73 of plain tracing's efficiency at 1,100 and 0.93 at
-/// 3,400, door-ajar 3.5 times at 12,500.
+/// Samples per pixel in all, times a plain sample's relative variance, below which a guide that has everything to learn is not
+/// tried: what that costs is not won back. Measured on a CPU, which learns from few pixels: bansal-room-5 had 0.73 of plain
+/// tracing's efficiency at 1,100 and 0.93 at 3,400, door-ajar 3.5 times at 12,500.
 const ENOUGH: f64 = 3000.0;
 /// How many times more a guided sample's variance counts where samples are stratified, for the same reason: what it loses by
 /// breaking strata up. Measured: on bansal-room-5 (H100, 4 s) variance and cost promise 1.5 times the efficiency of plain
