@@ -48,9 +48,9 @@ references() {
     done
   done | tee "$OUT/references.md"
 }
-scenes() { # every scene: what auto keeps of plain tracing's efficiency; some 20 s each
-  for file in scenes/*.toml; do
-    local scene seeds=2; scene=$(basename "$file" .toml)
+scenes() { # every scene, or those in SCENES: what auto keeps of plain tracing's efficiency; some 20 s each
+  for scene in ${SCENES:-$(basename -s .toml scenes/*.toml)}; do
+    local seeds=2
     case $scene in
       door-ajar | bansal-room-5) continue ;; # parts of their own
       still-life | glossy-box | bansal-exp-2 | bansal-exp-3) seeds=4 ;; # near the bound
