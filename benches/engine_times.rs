@@ -42,7 +42,7 @@ struct Arguments {
     /// Levels or paths at once; see `qtracer render --help`.
     #[arg(long)]
     grain: Option<u32>,
-    /// Engines to run: cpu, mega, fused, streamed, compacted.
+    /// Engines to run: cpu, mega, fused, sorted, streamed, compacted.
     #[arg(long, value_delimiter = ',', default_value = "mega,fused,streamed,compacted")]
     engines: Vec<String>,
     #[arg(long)]
@@ -100,6 +100,7 @@ fn run(arguments: &Arguments, path: &str, engine: &str) -> Result<(), Box<dyn st
         "cpu" => (EngineChoice::Cpu, None),
         "mega" => (EngineChoice::Megakernel, None),
         "fused" => (EngineChoice::Wavefront, Some(Schedule::Fused)),
+        "sorted" => (EngineChoice::Wavefront, Some(Schedule::Sorted)),
         "streamed" => (EngineChoice::Wavefront, Some(Schedule::Streamed)),
         "compacted" => (EngineChoice::Wavefront, Some(Schedule::Compacted)),
         other => return Err(format!("no engine is called {other}").into()),

@@ -13,10 +13,11 @@ pub struct Way {
 }
 
 /// All ways to run the transport. `wavefront` is its default schedule.
-pub const WAYS: [Way; 7] = [
+pub const WAYS: [Way; 8] = [
     Way { name: "cpu", engine: EngineChoice::Cpu, schedule: None },
     Way { name: "mega", engine: EngineChoice::Megakernel, schedule: None },
     Way { name: "fused", engine: EngineChoice::Wavefront, schedule: Some(Schedule::Fused) },
+    Way { name: "sorted", engine: EngineChoice::Wavefront, schedule: Some(Schedule::Sorted) },
     Way { name: "streamed", engine: EngineChoice::Wavefront, schedule: Some(Schedule::Streamed) },
     Way { name: "compacted", engine: EngineChoice::Wavefront, schedule: Some(Schedule::Compacted) },
     Way { name: "wavefront", engine: EngineChoice::Wavefront, schedule: None },

@@ -145,8 +145,8 @@ struct EngineArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(256..=1 << 26), allow_negative_numbers = true)]
     pool: Option<u32>,
 
-    /// Levels of a path that the fused schedule traces at once, or paths that an invocation of the megakernel traces
-    /// [default: by the lengths of paths]
+    /// Levels of a path that the fused schedule traces at once (the sorted: at most), or paths that an invocation of the
+    /// megakernel traces [default: by the lengths of paths]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=64), allow_negative_numbers = true)]
     grain: Option<u32>,
 
@@ -235,6 +235,7 @@ enum ScheduleArg {
     Compacted,
     Streamed,
     Fused,
+    Sorted,
 }
 
 /// A render that has been checked as far as can be without rendering.
@@ -400,6 +401,7 @@ fn render_options(
             ScheduleArg::Compacted => Schedule::Compacted,
             ScheduleArg::Streamed => Schedule::Streamed,
             ScheduleArg::Fused => Schedule::Fused,
+            ScheduleArg::Sorted => Schedule::Sorted,
         }),
         pool: engine.pool,
         grain: engine.grain,

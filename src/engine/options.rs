@@ -187,6 +187,13 @@ impl RenderOptions {
                 );
             }
         }
+        if self.split > Some(1) && self.schedule == Some(Schedule::Sorted) {
+            return refuse(
+                "split",
+                self.split.unwrap_or(1),
+                "the sorted schedule does not split paths; choose another, or a split of 1",
+            );
+        }
         if let Some(GuideProblem { option, value, remedy }) = self.guide.problem() {
             return Err(RenderError::Option { option, value, remedy: remedy.to_string() });
         }

@@ -127,6 +127,11 @@ impl PathLengths {
         (self.ended > 0).then(|| self.rays as f64 / self.ended as f64)
     }
 
+    /// Levels of the longest paths.
+    pub fn longest(&self) -> u32 {
+        self.longest
+    }
+
     /// Levels of a path that the fused schedule traces before survivors go back to the queue: a power of two. Long paths gain,
     /// since they travel less often; of short ones too many would end early and leave their invocations idle.
     pub fn levels_at_once(&self) -> u32 {

@@ -9,7 +9,8 @@ use crate::guiding::GuideTable;
 use crate::scene::Scene;
 
 /// What a level changes, but for radiance and the sums of what is learnt: adding to those once more takes as long.
-const CHANGED: [&str; 7] = ["counters", "arguments", "rays_a", "rays_b", "hits", "shadows", "transitions"];
+const CHANGED: [&str; 10] =
+    ["counters", "lengths", "arguments", "rays_a", "rays_b", "hits", "hits_a", "hits_b", "shadows", "transitions"];
 
 /// A stage of a level, and how much work was waiting for it.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,6 +28,8 @@ pub struct RecordedLevel {
     /// Names and copies of what the stage may change.
     saved: Vec<(&'static str, wgpu::Buffer)>,
     counters: Vec<u32>,
+    /// What the level was told that it has to do, once it is prepared.
+    lengths: Vec<u32>,
     /// What guides paths, if anything does.
     table: Option<GuideTable>,
     /// Which ray queue the level reads.
@@ -65,7 +68,7 @@ impl RecordedLevel {
         );
         let parity = (level % 2) as usize;
         let saved = Vec::new();
-        let mut recorded = RecordedLevel { engine, batch, saved, counters, table, parity, place: 0 };
+        let mut recorded = RecordedLevel { engine, batch, saved, counters, lengths: Vec::new(), table, parity, place: 0 };
         for before in 0..level {
             (recorded.counters, _) =
                 recorded.engine.submit_levels(before, 1, &mut Film::new(width, height))?;
@@ -91,9 +94,16 @@ impl RecordedLevel {
         let key = &self.engine.gpu.key;
         let counter = |at: Counter| u64::from(self.counters[at as usize]);
         let hits = |queue: u32| u64::from(self.counters[(Counter::FirstHit as u32 + queue) as usize]);
+        let length = |queue: u32| u64::from(self.lengths[(Counter::FirstHit as u32 + queue) as usize]);
         let items = match stage {
             Stage::Generate => counter(Counter::Live) - counter(Counter::FreshBegin),
             Stage::Intersect | Stage::Compact | Stage::Step => counter(Counter::Live),
+            // All of the level, its others and fresh ones.
+            Stage::Follow(kind) => length(key.hit_queue(kind)),
+            Stage::FollowOthers => {
+                let own = key.own_kernel().map_or(0, |kind| length(key.hit_queue(kind)));
+                counter(Counter::Live) - own
+            }
             Stage::Shadow => counter(Counter::ShadowsLive),
             Stage::Learn => counter(Counter::TransitionsLive),
             Stage::Environment => hits(key.hit_queues() - 1),
@@ -124,6 +134,9 @@ impl RecordedLevel {
         });
         let (counters, seconds) = self.engine.gpu.land(flight, bytemuck::pod_collect_to_vec)?;
         self.counters = counters;
+        if stage == Stage::PrepareRays {
+            self.lengths = self.words("lengths")?.unwrap_or_default();
+        }
         self.engine.check_overflow(&self.counters)?;
         Ok(seconds)
     }
@@ -142,13 +155,15 @@ impl RecordedLevel {
         (self.place, self.parity) = (0, 1 - self.parity);
     }
 
-    /// The words of a buffer as the next stage finds it, by the name that kernels call it: `rays_in` are the rays of this
+    /// The words of a buffer as the next stage finds it, by the name that kernels call it (the `sorted` ones' `hits` are `hits_in`): `rays_in` are the rays of this
     /// level. None if there is no such buffer.
     pub fn words(&self, name: &str) -> Result<Option<Vec<u32>>, RenderError> {
         let rays = ["rays_a", "rays_b"];
         let name = match name {
             "rays_in" => rays[self.parity],
             "rays_out" => rays[1 - self.parity],
+            "hits_in" => ["hits_a", "hits_b"][self.parity],
+            "hits_out" => ["hits_a", "hits_b"][1 - self.parity],
             name => name,
         };
         let Some(bytes) = self.engine.gpu.buffers.size(name) else { return Ok(None) };

@@ -11,7 +11,7 @@ use crate::film::Film;
 use crate::gpu::device::Gpu;
 use crate::gpu::error::GpuError;
 use crate::gpu::key::KernelKey;
-use crate::gpu::stage::{Counter, Schedule, Stage, argument_words, counter_words, queue_names};
+use crate::gpu::stage::{Counter, Schedule, Stage, argument_words, counter_words, length_rows, queue_names};
 use crate::guiding::{Trail, Transition};
 use crate::scene::compiled::{CompiledScene, Uniforms};
 use crate::transport::items::{HitItem, RayItem, ShadowItem};
@@ -77,10 +77,17 @@ impl WavefrontEngine {
         (size_of::<RayItem>().max(size_of::<ShadowItem>()) + trail) as u64
     }
 
+    /// Bytes of all the hits that a ray may be in the queues of.
+    fn hit_bytes(&self) -> u64 {
+        let key = &self.gpu.key;
+        let sorted = self.schedule == Schedule::Sorted;
+        let queues = if sorted { key.material_queues() } else { key.hit_queues() };
+        size_of::<HitItem>() as u64 * u64::from(queues)
+    }
+
     /// Rays per queue for a batch: the pool, less if the batch has fewer, all copies counted, or a binding can't hold it.
     fn capacity(&self, batch: &Batch) -> u32 {
-        let hit_bytes = size_of::<HitItem>() as u64 * u64::from(self.gpu.key.hit_queues());
-        let widest = hit_bytes.max(self.ray_bytes());
+        let widest = self.hit_bytes().max(self.ray_bytes());
         let fitting = self.gpu.gpu.summary.max_binding.min(self.gpu.gpu.summary.max_buffer) / widest;
         let most = batch.paths().saturating_mul(self.gpu.key.places);
         self.pool.min(most).min(fitting.min(u64::from(u32::MAX)) as u32)
@@ -90,14 +97,13 @@ impl WavefrontEngine {
     fn create_queues(&mut self) -> Result<(), RenderError> {
         let capacity = u64::from(self.gpu.uniforms.capacity);
         let ray_bytes = self.ray_bytes();
+        let sorted = self.schedule == Schedule::Sorted;
         let queue_bytes = [
             ("rays_a", ray_bytes, true),
             ("rays_b", ray_bytes, true),
-            (
-                "hits",
-                size_of::<HitItem>() as u64 * u64::from(self.gpu.key.hit_queues()),
-                self.gpu.is_bound("hits"),
-            ),
+            ("hits", self.hit_bytes(), self.gpu.is_bound("hits") && !sorted),
+            ("hits_a", self.hit_bytes(), sorted),
+            ("hits_b", self.hit_bytes(), sorted),
             ("shadows", ray_bytes, self.gpu.is_bound("shadows")),
             ("transitions", size_of::<Transition>() as u64, self.gpu.is_bound("transitions")),
         ];
@@ -112,6 +118,12 @@ impl WavefrontEngine {
         self.gpu.buffers.create(&self.gpu.gpu, "counters", words(counter_words(&key)), usage)?;
         self.gpu.buffers.create(
             &self.gpu.gpu,
+            "lengths",
+            words(4 * length_rows(&key)),
+            usage | BufferUsages::UNIFORM,
+        )?;
+        self.gpu.buffers.create(
+            &self.gpu.gpu,
             "arguments",
             words(argument_words(&key)),
             usage | BufferUsages::INDIRECT,
@@ -124,6 +136,7 @@ impl WavefrontEngine {
     fn bind_stages(&mut self) {
         self.level = Stage::wavefront(&self.gpu.key, self.schedule);
         self.level.retain(|stage| stage.is_in_level());
+        let sorted = self.schedule == Schedule::Sorted;
         let bind = |stage: Stage, names: &[(&str, &str)]| self.gpu.bind(stage, names);
         self.binds = self
             .level
@@ -131,10 +144,13 @@ impl WavefrontEngine {
             .map(|&stage| {
                 // Generation appends to the queue that the rest of the level reads.
                 let out = |this, other| if stage == Stage::Generate { this } else { other };
-                [
-                    bind(stage, &[("rays_in", "rays_a"), ("rays_out", out("rays_a", "rays_b"))]),
-                    bind(stage, &[("rays_in", "rays_b"), ("rays_out", out("rays_b", "rays_a"))]),
-                ]
+                let roles = |this, other, hits, next| {
+                    let rays = [("rays_in", this), ("rays_out", out(this, other))];
+                    // Hits have two buffers only where a level makes the next one's.
+                    let hits = if sorted { [("hits", hits), ("hits_out", next)] } else { [("hits", "hits"); 2] };
+                    bind(stage, &[rays, hits].concat())
+                };
+                [roles("rays_a", "rays_b", "hits_a", "hits_b"), roles("rays_b", "rays_a", "hits_b", "hits_a")]
             })
             .collect();
     }
@@ -206,10 +222,11 @@ impl WavefrontEngine {
     }
 }
 
-/// Levels of a path that a kernel traces at once: `grain`, if the caller decides.
+/// Levels of a path that a kernel traces at once, at most: `grain`, if the caller decides.
 fn levels_a_visit(schedule: Schedule, grain: Option<u32>, lengths: &PathLengths) -> u32 {
     match schedule {
         Schedule::Fused => grain.unwrap_or_else(|| lengths.levels_at_once()),
+        Schedule::Sorted => grain.unwrap_or_else(|| lengths.longest()),
         Schedule::Streamed | Schedule::Compacted => 1,
     }
 }
@@ -282,9 +299,14 @@ impl Tracer for WavefrontEngine {
             let (status, seconds) = self.submit_levels(level, count, film)?;
             let full = u64::from(count) * self.rays(grain);
             let traced = status[Counter::Rays as usize].saturating_sub(counters[Counter::Rays as usize]);
-            // Levels that were nearly empty say nothing of full ones, unless even they took too long.
-            if 2 * u64::from(traced) >= full || seconds > Pacer::TARGET {
-                self.pacer.observe(full, seconds);
+            // Levels that were nearly empty say nothing of full ones, unless even they took too long. Most visits of the sorted
+            // schedule end with the material, long before their last level.
+            let (amount, least) = match self.schedule {
+                Schedule::Sorted => (u64::from(traced), u64::from(count) * self.rays(1)),
+                _ => (full, full),
+            };
+            if 2 * u64::from(traced) >= least || seconds > Pacer::TARGET {
+                self.pacer.observe(amount, seconds);
             }
             level += count;
             counters = status;

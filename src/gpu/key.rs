@@ -126,6 +126,21 @@ impl KernelKey {
         KernelKey { kinds, ..self }
     }
 
+    /// The same key for a kernel that does not meet this kind.
+    pub fn without_kind(self, kind: Option<u32>) -> Self {
+        let mut kinds = self.kinds;
+        if let Some(kind) = kind {
+            kinds[kind as usize] = false;
+        }
+        KernelKey { kinds, ..self }
+    }
+
+    /// The material kind that has a kernel of its own in the sorted schedule, if the scene has it: most surfaces are diffuse. It
+    /// is the first of the queues.
+    pub fn own_kernel(&self) -> Option<u32> {
+        self.kinds[KIND_DIFFUSE as usize].then_some(KIND_DIFFUSE)
+    }
+
     /// Feature flags of the kernel sources.
     pub fn flags(&self) -> Vec<(&'static str, bool)> {
         vec![
@@ -175,7 +190,12 @@ impl KernelKey {
 
     /// Number of hit queues: one per material kind present, one for the environment if it shines.
     pub fn hit_queues(&self) -> u32 {
-        self.kinds.iter().filter(|&&k| k).count() as u32 + u32::from(self.environment)
+        self.material_queues() + u32::from(self.environment)
+    }
+
+    /// Of these the ones of materials, which come first.
+    pub fn material_queues(&self) -> u32 {
+        self.kinds.iter().filter(|&&k| k).count() as u32
     }
 
     /// Position of a kind's queue among the hit queues.

@@ -62,6 +62,7 @@ pub const MODULES: &[(&str, &str)] = modules![
     "stages/commit",
     "stages/compact",
     "stages/environment",
+    "stages/follow",
     "stages/generate",
     "stages/intersect",
     "stages/learn",
@@ -72,6 +73,7 @@ pub const MODULES: &[(&str, &str)] = modules![
     "stages/resolve",
     "stages/shade",
     "stages/shadow",
+    "stages/sorted",
     "stages/step",
 ];
 

@@ -20,10 +20,15 @@ pub enum Schedule {
     Streamed,
     /// One kernel for whole levels (intersection, shading and shadow test fused), some in a row; survivors streamed.
     Fused,
+    /// A list of hits per material, whose paths are followed for as long as they meet that material; then they change lists.
+    /// Paths cannot split here.
+    Sorted,
 }
 
 /// Invocations per workgroup of every kernel but the one-invocation ones. 256 is what every browser grants.
 pub const WORKGROUP: u32 = 256;
+/// Most items that an invocation takes one after the other of a list of the sorted schedule.
+pub const ITEMS: u32 = 4;
 /// Invocations per workgroup of the commit kernel: cells are few, and each has much to do.
 pub const CELLS_AT_ONCE: u32 = 32;
 /// Workgroups in a row of the two-dimensional grid (`GRID_WIDTH` in kernels/stages/queues.wesl).
@@ -103,6 +108,11 @@ pub fn counter_words(key: &KernelKey) -> u32 {
     Counter::FirstHit as u32 + key.hit_queues()
 }
 
+/// How many rows of four words the buffer of lengths has: a word for each counter.
+pub fn length_rows(key: &KernelKey) -> u32 {
+    counter_words(key).div_ceil(4)
+}
+
 /// How many words the argument buffer has.
 pub fn argument_words(key: &KernelKey) -> u32 {
     3 * (Argument::FirstHit as u32 + key.hit_queues())
@@ -122,6 +132,10 @@ pub enum Stage {
     Shadow,
     Learn,
     Step,
+    /// Paths at surfaces of one material kind.
+    Follow(u32),
+    /// Paths at surfaces of all kinds that have no [`Stage::Follow`] of their own, and fresh ones.
+    FollowOthers,
     Megakernel,
     Resolve,
     /// At a pass's end, and where a table is put in place.
@@ -135,6 +149,11 @@ impl Stage {
         if schedule == Schedule::Fused {
             let own = [Stage::PrepareRays, Stage::Step];
             return own.into_iter().chain(Stage::behind_levels(key)).collect();
+        }
+        if schedule == Schedule::Sorted {
+            let own = key.own_kernel().map(Stage::Follow);
+            let level = [Stage::PrepareRays].into_iter().chain(own).chain([Stage::FollowOthers]);
+            return level.chain(Stage::behind_levels(key)).collect();
         }
         let mut stages = vec![Stage::PrepareRays, Stage::Generate];
         if key.direct_light {
@@ -173,6 +192,8 @@ impl Stage {
     pub fn name(self) -> String {
         match self {
             Stage::Shade(kind) => format!("shade_{}", KIND_NAMES[kind as usize]),
+            Stage::Follow(kind) => format!("follow_{}", KIND_NAMES[kind as usize]),
+            Stage::FollowOthers => "follow_others".to_string(),
             stage => stage.module().to_string(),
         }
     }
@@ -190,16 +211,18 @@ impl Stage {
             Stage::Shadow => "shadow",
             Stage::Learn => "learn",
             Stage::Step => "step",
+            Stage::Follow(_) | Stage::FollowOthers => "follow",
             Stage::Megakernel => "megakernel",
             Stage::Resolve => "resolve",
             Stage::Commit => "commit",
         }
     }
 
-    /// The key that this stage is linked with: a shading kernel knows one material only.
+    /// The key that this stage is linked with: a kernel of one material knows no other.
     pub fn key(self, scene: KernelKey) -> KernelKey {
         match self {
-            Stage::Shade(kind) => scene.only_kind(kind),
+            Stage::Shade(kind) | Stage::Follow(kind) => scene.only_kind(kind),
+            Stage::FollowOthers => scene.without_kind(scene.own_kernel()),
             _ => scene,
         }
     }
@@ -209,25 +232,30 @@ impl Stage {
         let first_hit = Argument::FirstHit as u32;
         match self {
             Stage::Generate => Some(Argument::Generate as u32),
-            Stage::Intersect | Stage::Compact | Stage::Step => Some(Argument::Intersect as u32),
+            Stage::Intersect | Stage::Compact | Stage::Step | Stage::FollowOthers => Some(Argument::Intersect as u32),
             Stage::Shadow => Some(Argument::Shadow as u32),
             Stage::Learn => Some(Argument::Learn as u32),
             Stage::Environment => Some(first_hit + key.hit_queues() - 1),
-            Stage::Shade(kind) => Some(first_hit + key.hit_queue(kind)),
+            Stage::Shade(kind) | Stage::Follow(kind) => Some(first_hit + key.hit_queue(kind)),
             _ => None,
         }
     }
 
     /// Feature flags of this stage beyond those of the scene.
     pub fn flags(self, scene: &KernelKey, schedule: Schedule) -> Vec<(&'static str, bool)> {
+        let whole_levels = matches!(schedule, Schedule::Fused | Schedule::Sorted);
         vec![
             ("commits", self == Stage::Commit),
+            ("sorted", schedule == Schedule::Sorted),
+            ("others", self == Stage::FollowOthers),
+            ("stands", self.key(*scene).kinds.contains(&true)),
             ("in_place", schedule == Schedule::Compacted),
+            ("prepares", matches!(self, Stage::PrepareRays | Stage::PrepareShade)),
             ("pushes_hits", self == Stage::Intersect),
             ("pushes_shadows", matches!(self, Stage::Shade(_))),
             ("pushes_transitions", scene.teaches && matches!(self, Stage::Shade(_))),
-            ("transition_queue", scene.teaches && schedule != Schedule::Fused),
-            ("shadow_queue", scene.direct_light && schedule != Schedule::Fused),
+            ("transition_queue", scene.teaches && !whole_levels),
+            ("shadow_queue", scene.direct_light && !whole_levels),
         ]
     }
 
@@ -240,8 +268,10 @@ impl Stage {
         define("WORKGROUP", WORKGROUP);
         define("CELLS_AT_ONCE", CELLS_AT_ONCE);
         define("BLOCK", BLOCK);
+        define("ITEMS", if self == Stage::FollowOthers { 1 } else { ITEMS });
         define("SPLIT", scene.places);
         define("COUNTERS", counter_words(scene));
+        define("LENGTH_ROWS", length_rows(scene));
         for (i, name) in COUNTER_NAMES.iter().enumerate() {
             define(name, i as u32);
         }
@@ -289,11 +319,15 @@ impl Stage {
             define(name, rows as u32);
         }
         define("HIT_QUEUES", scene.hit_queues());
+        define("MATERIAL_QUEUES", scene.material_queues());
+        define("OWN_KERNELS", u32::from(scene.own_kernel().is_some()));
+        let kinds = 0..KINDS as u32;
+        define("KIND_QUEUES", kinds.map(|kind| scene.hit_queue(kind) << (4 * kind)).sum());
         for (kind, name) in KIND_NAMES.iter().enumerate() {
             define(&format!("QUEUE_{}", name.to_uppercase()), scene.hit_queue(kind as u32));
         }
         define("QUEUE_ENVIRONMENT", scene.hit_queues().saturating_sub(1));
-        if let Stage::Shade(kind) = self {
+        if let Stage::Shade(kind) | Stage::Follow(kind) = self {
             define("HIT_QUEUE", scene.hit_queue(kind));
         }
         text

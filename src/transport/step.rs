@@ -4,7 +4,7 @@ use super::items::RayItem;
 use super::path::{ShadeOutcome, Split, Transport};
 use super::split::MAX_SPLIT;
 use crate::guiding::{Trail, Transition};
-use crate::scene::shapes::Ray;
+use crate::scene::shapes::{Hit, Ray};
 use glam::Vec3;
 
 /// `emitted` and `direct` are to be added to the path's radiance one after the other, as every schedule does.
@@ -21,15 +21,28 @@ pub struct StepOutcome {
 impl Transport<'_> {
     #[inline]
     pub fn step(&self, ray: &RayItem, trail: &Trail) -> StepOutcome {
+        let (hit, emitted) = self.meet(ray, trail);
+        match hit {
+            None => StepOutcome { emitted, ..Default::default() },
+            Some(hit) => self.leave(ray, trail, hit),
+        }
+    }
+
+    /// What a ray meets; if that is nothing, the light of the environment.
+    #[inline(always)]
+    pub fn meet(&self, ray: &RayItem, trail: &Trail) -> (Option<Hit>, Vec3) {
         let hit = self.search.intersect(Ray { origin: ray.origin, direction: ray.direction });
-        let Some(hit) = hit else {
-            self.learn(&Transition {
-                slot: trail.slot,
-                value: self.environment_value(ray, trail),
-                ..Default::default()
-            });
-            return StepOutcome { emitted: self.environment(ray), ..Default::default() };
-        };
+        if hit.is_some() {
+            return (hit, Vec3::ZERO);
+        }
+        let value = self.environment_value(ray, trail);
+        self.learn(&Transition { slot: trail.slot, value, ..Default::default() });
+        (None, self.environment(ray))
+    }
+
+    /// What happens at the surface that it met, until the path leaves it.
+    #[inline(always)]
+    pub fn leave(&self, ray: &RayItem, trail: &Trail, hit: Hit) -> StepOutcome {
         let shaded = self.shade(ray, trail, hit);
         self.learn(&shaded.transition);
         let direct = match shaded.shadow {

@@ -1,7 +1,7 @@
 //! Between two levels: the pool is filled up, and nothing is lost or started twice.
 
 use super::*;
-use qtracer::gpu::stage::{Argument, GRID_WIDTH, argument_words};
+use qtracer::gpu::stage::{Argument, GRID_WIDTH, argument_words, length_rows};
 
 /// The step between two levels: survivors and fresh paths fill the pool exactly, no path is started twice or never, and
 /// the dispatch arguments cover every item.
@@ -28,17 +28,19 @@ fn preparing_a_level_fills_the_pool_and_loses_no_path() {
                 (Counter::FirstHit, 17),
             ]);
             let arguments = vec![UNTOUCHED; argument_words(&harness.key) as usize];
+            let lengths = vec![UNTOUCHED; 4 * length_rows(&harness.key) as usize];
             let uniforms = Uniforms { capacity, path_count: paths, ..Uniforms::zeroed() };
             let read = harness.run(
                 uniforms,
                 &[
                     ("counters", bytemuck::cast_slice(&counters)),
                     ("arguments", bytemuck::cast_slice(&arguments)),
+                    ("lengths", bytemuck::cast_slice(&lengths)),
                 ],
                 1,
-                &["counters", "arguments"],
+                &["counters", "arguments", "lengths"],
             );
-            let (after, arguments) = (words(&read[0]), words(&read[1]));
+            let (after, arguments, lengths) = (words(&read[0]), words(&read[1]), words(&read[2]));
             let counter = |c: Counter| after[c as usize];
             let fresh = (capacity - survivors).min(paths - next);
             prop_assert_eq!(counter(Counter::Live), survivors + fresh);
@@ -48,6 +50,9 @@ fn preparing_a_level_fills_the_pool_and_loses_no_path() {
             prop_assert_eq!(counter(Counter::Levels), 7 + u32::from(survivors + fresh + shadows > 0));
             prop_assert_eq!(counter(Counter::ShadowsLive), shadows);
             prop_assert_eq!(counter(Counter::Overflow), 0);
+            for told in [Counter::Live, Counter::FreshBegin, Counter::NextPath, Counter::ShadowsLive] {
+                prop_assert_eq!(lengths[told as usize], counter(told), "{:?}", told);
+            }
             for cleared in [Counter::Survivors, Counter::Shadows, Counter::FirstHit] {
                 prop_assert_eq!(counter(cleared), 0);
             }

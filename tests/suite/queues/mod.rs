@@ -69,9 +69,17 @@ impl Harness {
     ) -> Vec<Vec<u8>> {
         let mut buffers = Buffers::default();
         buffers.upload(&self.gpu, "uniforms", bytemuck::bytes_of(&uniforms), BufferUsages::UNIFORM).unwrap();
-        for (name, data) in contents {
+        // As if the level had been prepared, unless that is what is asked.
+        let lengths = contents.iter().find(|(name, _)| *name == "counters").map(|(_, counters)| {
+            let mut lengths = counters.to_vec();
+            lengths.resize(counters.len().next_multiple_of(16), 0);
+            lengths
+        });
+        let prepared = lengths.as_ref().map(|lengths| ("lengths", lengths.as_slice()));
+        let told = contents.iter().any(|(name, _)| *name == "lengths");
+        for (name, data) in contents.iter().copied().chain(prepared.filter(|_| !told)) {
             // What every ray reads of small scenes is a uniform buffer.
-            let uniform = matches!(*name, "hot_rows" | "guide");
+            let uniform = matches!(name, "hot_rows" | "guide" | "lengths");
             let uniform = if uniform { BufferUsages::UNIFORM } else { BufferUsages::empty() };
             let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC | uniform;
             buffers.upload(&self.gpu, name, data, usage).unwrap();
