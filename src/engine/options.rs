@@ -283,6 +283,11 @@ mod tests {
             assert_eq!(refused(with(1, roulette)), None);
         }
         assert_eq!(refused(with(8, Some(Roulette::Learnt))), None);
+        let sorted =
+            |split| RenderOptions { schedule: Some(Schedule::Sorted), ..with(split, Some(Roulette::Learnt)) };
+        let (option, message) = refused(sorted(2)).unwrap();
+        assert!(option == "split" && message.contains("the sorted schedule does not split"), "{message}");
+        assert_eq!(refused(sorted(1)), None);
         let guide = GuideOptions { mode: GuideMode::Adaptive, ..Default::default() };
         assert_eq!(refused(RenderOptions { guide, ..with(8, None) }), None);
     }

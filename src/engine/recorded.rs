@@ -9,8 +9,18 @@ use crate::guiding::GuideTable;
 use crate::scene::Scene;
 
 /// What a level changes, but for radiance and the sums of what is learnt: adding to those once more takes as long.
-const CHANGED: [&str; 10] =
-    ["counters", "lengths", "arguments", "rays_a", "rays_b", "hits", "hits_a", "hits_b", "shadows", "transitions"];
+const CHANGED: [&str; 10] = [
+    "counters",
+    "lengths",
+    "arguments",
+    "rays_a",
+    "rays_b",
+    "hits",
+    "hits_a",
+    "hits_b",
+    "shadows",
+    "transitions",
+];
 
 /// A stage of a level, and how much work was waiting for it.
 #[derive(Clone, Debug, PartialEq)]
@@ -68,7 +78,8 @@ impl RecordedLevel {
         );
         let parity = (level % 2) as usize;
         let saved = Vec::new();
-        let mut recorded = RecordedLevel { engine, batch, saved, counters, lengths: Vec::new(), table, parity, place: 0 };
+        let mut recorded =
+            RecordedLevel { engine, batch, saved, counters, lengths: Vec::new(), table, parity, place: 0 };
         for before in 0..level {
             (recorded.counters, _) =
                 recorded.engine.submit_levels(before, 1, &mut Film::new(width, height))?;

@@ -35,6 +35,8 @@ pub struct WavefrontEngine {
     lengths: PathLengths,
     /// Levels of a path that the fused kernel traces at once, if the caller decides.
     grain: Option<u32>,
+    /// Levels that visits of the sorted schedule are reckoned to have at most; no bound before any was seen.
+    longest_visit: u32,
     /// Levels that the last batch needed, 0 before the first: how many to record at first.
     expected_levels: u32,
 }
@@ -67,6 +69,7 @@ impl WavefrontEngine {
             pacer: Pacer::new(first),
             lengths,
             grain: options.grain,
+            longest_visit: u32::MAX,
             expected_levels: 0,
         })
     }
@@ -147,7 +150,8 @@ impl WavefrontEngine {
                 let roles = |this, other, hits, next| {
                     let rays = [("rays_in", this), ("rays_out", out(this, other))];
                     // Hits have two buffers only where a level makes the next one's.
-                    let hits = if sorted { [("hits", hits), ("hits_out", next)] } else { [("hits", "hits"); 2] };
+                    let hits =
+                        if sorted { [("hits", hits), ("hits_out", next)] } else { [("hits", "hits"); 2] };
                     bind(stage, &[rays, hits].concat())
                 };
                 [roles("rays_a", "rays_b", "hits_a", "hits_b"), roles("rays_b", "rays_a", "hits_b", "hits_a")]
@@ -168,6 +172,12 @@ impl WavefrontEngine {
     /// Rays of a level, if the pool is full and all paths live through the levels of a visit.
     fn rays(&self, at_once: u32) -> u64 {
         u64::from(self.gpu.uniforms.capacity) * u64::from(at_once)
+    }
+
+    /// Levels that a visit is reckoned to trace where it may trace `grain`. The sorted schedule's end with the material, mostly long
+    /// before their last level: twice as many as they had in the last submission.
+    fn visit(&self, grain: u32) -> u32 {
+        grain.min(self.longest_visit)
     }
 
     /// How many levels to submit after `level` of them, which left these counters: as many as the last batch needed, or as
@@ -291,22 +301,21 @@ impl Tracer for WavefrontEngine {
             }
             let mut grain = levels_a_visit(self.schedule, self.grain, &self.lengths);
             // A level is submitted whole, so it is the levels of a visit that must not be too many.
-            while self.grain.is_none() && grain > 1 && self.rays(grain) > self.pacer.amount() {
+            while self.grain.is_none() && grain > 1 && self.rays(self.visit(grain)) > self.pacer.amount() {
                 grain /= 2;
             }
-            let count = self.levels_to_submit(batch, level, &counters, grain);
+            let count = self.levels_to_submit(batch, level, &counters, self.visit(grain));
             self.gpu.write_uniforms(&Uniforms { grain, ..uniforms });
             let (status, seconds) = self.submit_levels(level, count, film)?;
-            let full = u64::from(count) * self.rays(grain);
+            let full = u64::from(count) * self.rays(self.visit(grain));
             let traced = status[Counter::Rays as usize].saturating_sub(counters[Counter::Rays as usize]);
-            // Levels that were nearly empty say nothing of full ones, unless even they took too long. Most visits of the sorted
-            // schedule end with the material, long before their last level.
-            let (amount, least) = match self.schedule {
-                Schedule::Sorted => (u64::from(traced), u64::from(count) * self.rays(1)),
-                _ => (full, full),
-            };
-            if 2 * u64::from(traced) >= least || seconds > Pacer::TARGET {
-                self.pacer.observe(amount, seconds);
+            // Levels that were nearly empty say nothing of full ones, unless even they took too long.
+            if 2 * u64::from(traced) >= full || seconds > Pacer::TARGET {
+                self.pacer.observe(full, seconds);
+            }
+            let visits = u64::from(count) * self.rays(1);
+            if self.schedule == Schedule::Sorted && 2 * u64::from(traced) >= visits {
+                self.longest_visit = 2 * (u64::from(traced) / visits).max(1) as u32;
             }
             level += count;
             counters = status;

@@ -232,7 +232,9 @@ impl Stage {
         let first_hit = Argument::FirstHit as u32;
         match self {
             Stage::Generate => Some(Argument::Generate as u32),
-            Stage::Intersect | Stage::Compact | Stage::Step | Stage::FollowOthers => Some(Argument::Intersect as u32),
+            Stage::Intersect | Stage::Compact | Stage::Step | Stage::FollowOthers => {
+                Some(Argument::Intersect as u32)
+            }
             Stage::Shadow => Some(Argument::Shadow as u32),
             Stage::Learn => Some(Argument::Learn as u32),
             Stage::Environment => Some(first_hit + key.hit_queues() - 1),

@@ -1,6 +1,8 @@
 //! The kernels as text: they link for every key, are valid, have the layouts that Rust has, and hold only what is needed.
 
-use crate::support::{Engine, SCHEDULES, estimators, icosphere, render, root, scene, scene_names, small};
+use crate::support::{
+    Engine, SCHEDULES, SPLITTING_SCHEDULES, estimators, icosphere, render, root, scene, scene_names, small,
+};
 use crate::surfaces::images::everything;
 use naga::TypeInner;
 use qtracer::film::BlockSum;
@@ -39,7 +41,9 @@ fn validate(wgsl: &str) -> naga::Module {
 
 fn all_stages(key: &KernelKey) -> Vec<(Stage, Schedule)> {
     let mut stages: Vec<_> = Stage::megakernel(key).into_iter().map(|s| (s, Schedule::Fused)).collect();
-    for schedule in SCHEDULES {
+    let splits = key.places > 1;
+    for schedule in SCHEDULES.into_iter().filter(|schedule| !splits || SPLITTING_SCHEDULES.contains(schedule))
+    {
         stages.extend(Stage::wavefront(key, schedule).into_iter().map(|s| (s, schedule)));
     }
     stages
@@ -821,7 +825,8 @@ fn buffers_exist_for_what_the_scene_needs_and_nothing_else() {
         let learnt = ["guide", "guide_rows", "guide_state", "guide_trees", "lessons"];
         assert!(learnt.iter().all(|name| have.contains_key(*name)), "{have:?}");
         assert_eq!((have["rays_a"], have["rays_b"]), (64 * capacity, 64 * capacity));
-        let queue = (schedule != Schedule::Fused).then_some(16 * capacity);
+        let whole_levels = matches!(schedule, Schedule::Fused | Schedule::Sorted);
+        let queue = (!whole_levels).then_some(16 * capacity);
         assert_eq!(have.get("transitions").copied(), queue, "{schedule:?}");
         assert_eq!(have.get("shadows").copied(), queue.map(|bytes| 4 * bytes), "{schedule:?}");
     }
@@ -841,6 +846,13 @@ fn buffers_exist_for_what_the_scene_needs_and_nothing_else() {
     // The fused schedule shades where it intersects.
     let (have, _) = buffers(&scene("cornell-box"), Schedule::Fused, true);
     assert!(!have.contains_key("hits") && !have.contains_key("shadows"), "{have:?}");
+
+    // The sorted one has two sets of lists, one for each material, and none for the environment.
+    let (have, _) = buffers(&scene("furnace-open"), Schedule::Sorted, true);
+    assert_eq!((have["hits_a"], have["hits_b"]), (12 * capacity, 12 * capacity));
+    assert!(!have.contains_key("hits") && !have.contains_key("shadows"), "{have:?}");
+    let (have, _) = buffers(&scene("bansal-room-1"), Schedule::Sorted, true);
+    assert_eq!((have["hits_a"], have["hits_b"]), (4 * 12 * capacity, 4 * 12 * capacity));
 }
 
 /// Functions of kernels/transport/light_tree and what they read.

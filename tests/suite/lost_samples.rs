@@ -199,7 +199,7 @@ fn what_is_poisoned_in_a_scene_poisons_no_image() {
     ];
     for (i, (name, scene)) in spoilt_boxes().iter().enumerate() {
         let (way, options) = (i, &ways[i]);
-        let engines = [Engine::Cpu, Engine::Megakernel, Engine::Wavefront(SCHEDULES[way % 3])];
+        let engines = [Engine::Cpu, Engine::Megakernel, Engine::Wavefront(SCHEDULES[way % SCHEDULES.len()])];
         let lost = engines.map(|engine| {
             let found = render_lossy(scene, engine, options, 14);
             let image = &found.image;

@@ -43,7 +43,7 @@ fn schedules_and_megakernel_split_alike() {
         let options = splitting(mode, split, scale, 7);
         let scene = scene(name);
         let reference = render(&scene, Engine::Megakernel, &options, 30);
-        for (schedule, pool) in SCHEDULES.into_iter().flat_map(|s| [(s, None), (s, Some(256))]) {
+        for (schedule, pool) in SPLITTING_SCHEDULES.into_iter().flat_map(|s| [(s, None), (s, Some(256))]) {
             let options = RenderOptions { pool, ..options.clone() };
             let other = render(&scene, Engine::Wavefront(schedule), &options, 30);
             let what = format!("{mode}, split {split}, {name}, {schedule:?}, pool {pool:?}");
@@ -120,7 +120,8 @@ fn split_paths_are_the_same_in_any_order() {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
     let other = pool.install(|| render(&scene, Engine::Cpu, &options, 30));
     assert_eq!(differing_pixels(&whole.film, &other.film), 0);
-    for engine in GPU_ENGINES {
+    let engines = SPLITTING_SCHEDULES.map(Engine::Wavefront).into_iter().chain([Engine::Megakernel]);
+    for engine in engines {
         let [a, b] = [(); 2].map(|_| render(&scene, engine, &options, 15));
         assert_eq!(differing_pixels(&a.film, &b.film), 0, "{engine:?}");
         assert_eq!(a.image.rgb, b.image.rgb, "{engine:?}");

@@ -16,15 +16,19 @@ use std::path::PathBuf;
 use std::sync::Once;
 
 /// Every way of rendering: the same transport, so the same image.
-pub const ENGINES: [Engine; 5] = [
+pub const ENGINES: [Engine; 6] = [
     Engine::Cpu,
     Engine::Megakernel,
     Engine::Wavefront(Schedule::Compacted),
     Engine::Wavefront(Schedule::Streamed),
     Engine::Wavefront(Schedule::Fused),
+    Engine::Wavefront(Schedule::Sorted),
 ];
-pub const GPU_ENGINES: [Engine; 4] = [ENGINES[1], ENGINES[2], ENGINES[3], ENGINES[4]];
-pub const SCHEDULES: [Schedule; 3] = [Schedule::Compacted, Schedule::Streamed, Schedule::Fused];
+pub const GPU_ENGINES: [Engine; 5] = [ENGINES[1], ENGINES[2], ENGINES[3], ENGINES[4], ENGINES[5]];
+pub const SCHEDULES: [Schedule; 4] =
+    [Schedule::Compacted, Schedule::Streamed, Schedule::Fused, Schedule::Sorted];
+/// Those in which paths may split.
+pub const SPLITTING_SCHEDULES: [Schedule; 3] = [SCHEDULES[0], SCHEDULES[1], SCHEDULES[2]];
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Engine {

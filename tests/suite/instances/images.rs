@@ -110,7 +110,7 @@ fn guiding_works_on_instances() {
     let scene = grove(rock(&mut Numbers(3), 1));
     let guide = GuideOptions { mode: GuideMode::Adaptive, ..Default::default() };
     let options = RenderOptions { guide, ..small(16, 12, 7) };
-    for engine in [ENGINES[0], ENGINES[1], ENGINES[3], ENGINES[4]] {
+    for engine in [ENGINES[0], ENGINES[1], ENGINES[3], ENGINES[4], ENGINES[5]] {
         let [a, b] = [Instancing::Shared, Instancing::LaidOut]
             .map(|how| render(&scene, engine, &by(how, &options), 16));
         assert_eq!(differing_pixels(&a.film, &b.film), 0, "{engine:?}");

@@ -7,6 +7,7 @@ mod hits;
 mod learning;
 mod levels;
 mod paths;
+mod sorted;
 
 use crate::support::{estimators, open_gpu, scene};
 use bytemuck::Zeroable;
