@@ -43,7 +43,7 @@ struct Arguments {
     #[arg(long)]
     grain: Option<u32>,
     /// Engines to run: cpu, mega, fused, sorted, streamed, compacted.
-    #[arg(long, value_delimiter = ',', default_value = "mega,fused,streamed,compacted")]
+    #[arg(long, value_delimiter = ',', default_value = "mega,fused,sorted,streamed,compacted")]
     engines: Vec<String>,
     #[arg(long)]
     json: Option<String>,

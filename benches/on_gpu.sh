@@ -30,6 +30,9 @@ times() {
       --max-bounces 64 --direct-light true --roulette false --json "$rows"
     echo; echo "### Many materials, long paths: direct light, 64 levels, no roulette, 640x480, 64 samples"
     "$ENGINE_TIMES" --scene scenes/glass-shelf.toml --size 640 480 --max-bounces 64 --direct-light true --roulette false --json "$rows"
+    echo; echo "### Meshes of seven materials: the same"
+    "$ENGINE_TIMES" --scene scenes/{still-life,interior}.toml --size 640 480 --max-bounces 64 --direct-light true --roulette false \
+      --repetitions 3 --json "$rows"
     echo; echo "### Every scene as it is shipped, stratified, 640x480, 64 samples; and what auto takes"
     for scene in scenes/*.toml; do
       "$ENGINE_TIMES" --scene "$scene" --size 640 480 --stratified --repetitions 5 --engines mega,fused --json "$rows" | tail -n 2
@@ -39,13 +42,13 @@ times() {
 }
 
 identity() {
-  echo "| scene | fused | streamed | compacted | cpu: largest difference | cpu: pixels within 1e-3 |"
-  echo "|---|---|---|---|---|---|"
+  echo "| scene | fused | sorted | streamed | compacted | cpu: largest difference | cpu: pixels within 1e-3 |"
+  echo "|---|---|---|---|---|---|---|"
   for scene in scenes/*.toml; do
     local name row; name=$(basename "$scene" .toml); row="| $name |"
     local common="--size 96x72 --spp 64 --seed 5 --no-features -q"
     "$QTRACER" render "$scene" $common --engine megakernel -o "$scratch/mega.exr" 2>/dev/null || row+=" megakernel failed"
-    for schedule in fused streamed compacted; do
+    for schedule in fused sorted streamed compacted; do
       "$QTRACER" render "$scene" $common --engine wavefront --schedule $schedule -o "$scratch/w.exr" 2>/dev/null
       row+=" $("$QTRACER" compare "$scratch/w.exr" "$scratch/mega.exr" --json 2>/dev/null | python3 -c 'import json,sys; print(json.load(sys.stdin)["differences"]["max_absolute"])') |"
     done

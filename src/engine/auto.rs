@@ -9,12 +9,13 @@ use crate::scene::compiled::{CompiledScene, KIND_ROUGH_DIELECTRIC};
 /// megakernel loses more to invocations that wait for each other.
 const MANY_TESTS: usize = 64;
 /// Kinds of materials from which on a kernel for each pays, where there are meshes.
-const MANY_KINDS: usize = 3;
+const MANY_KINDS: u32 = 3;
 
-/// The engine that is faster for this scene: the megakernel up to 63 shape tests a level (0.98 to 5.8 times as fast as
-/// the fused schedule on the shipped scenes), beyond that the wavefront (door-ajar 1.17, glass-shelf 1.05, many-lights 1.30,
-/// interior 1.29, the chess model 1.33, still-life 1.50 times as fast; surfaces 0.99). Rough glass, whose shading takes longer than
-/// what its neighbours do, always goes to the wavefront (rough-glass 1.13, by that scene alone). docs/PERFORMANCE.md.
+/// The engine that is faster for this scene: the megakernel up to 63 shape tests a level, and where invocations do much alike
+/// whatever they meet: one kind of material, nothing textured, no tree of lights (0.99 to 1.38 times as fast as the fused
+/// schedule on the shipped scenes; door-ajar 1.04, guided 1.11; mesh 1.03). Else the wavefront (glass-shelf 1.05, many-lights 1.07,
+/// surfaces 1.09, interior 1.29, the chess model 1.33, still-life 1.4 times as fast). Rough glass, whose shading takes longer than
+/// what its neighbours do, always goes to the wavefront (rough-glass 1.14, by that scene alone). docs/PERFORMANCE.md.
 ///
 /// Options that only the wavefront knows imply it.
 pub fn preferred_engine(scene: &CompiledScene, key: &KernelKey, options: &RenderOptions) -> EngineKind {
@@ -23,7 +24,8 @@ pub fn preferred_engine(scene: &CompiledScene, key: &KernelKey, options: &Render
     }
     let tests = scene.tests_per_ray() * if key.direct_light { 2 } else { 1 };
     let uneven = key.kinds[KIND_ROUGH_DIELECTRIC as usize];
-    if tests < MANY_TESTS && !uneven { EngineKind::Megakernel } else { EngineKind::Wavefront }
+    let alike = key.material_queues() == 1 && !key.textures && !key.light_tree && !key.environment_map;
+    if (tests < MANY_TESTS || alike) && !uneven { EngineKind::Megakernel } else { EngineKind::Wavefront }
 }
 
 /// The schedule for which the caller did not ask: `Streamed` for meshes of several materials, where the fused kernel waits for
@@ -39,8 +41,7 @@ pub fn preferred_engine(scene: &CompiledScene, key: &KernelKey, options: &Render
 ///
 /// With a guide, too (`interior`, 4 s: 7296 samples streamed, 4224 fused). A grain is a number of levels of the fused kernel.
 pub fn preferred_schedule(key: &KernelKey, options: &RenderOptions) -> Schedule {
-    let kinds = key.kinds.iter().filter(|&&used| used).count();
-    let walks_differ = key.triangles && kinds >= MANY_KINDS;
+    let walks_differ = key.triangles && key.material_queues() >= MANY_KINDS;
     let usual = if walks_differ && options.grain.is_none() { Schedule::Streamed } else { Schedule::Fused };
     options.schedule.unwrap_or(usual)
 }
@@ -62,7 +63,7 @@ mod tests {
     }
 
     #[test]
-    fn few_shapes_go_to_the_megakernel_but_for_rough_glass() {
+    fn few_shapes_and_one_material_go_to_the_megakernel_but_for_rough_glass() {
         let engine = |file: &str| {
             let path = format!("{}/scenes/{file}", env!("CARGO_MANIFEST_DIR"));
             let scene = Scene::load(path).expect("a shipped scene loads");
@@ -70,10 +71,13 @@ mod tests {
             let key = KernelKey::new(&compiled, &options.estimators(&scene));
             preferred_engine(&compiled, &key, &options)
         };
-        for file in ["cornell-box.toml", "bansal-room-5.toml", "metal-spheres.toml", "open-sky.toml"] {
+        let few = ["cornell-box.toml", "bansal-room-5.toml", "metal-spheres.toml", "open-sky.toml"];
+        for file in few.into_iter().chain(["door-ajar.toml", "mesh.toml"]) {
             assert_eq!(engine(file), EngineKind::Megakernel, "{file}");
         }
-        for file in ["rough-glass.toml", "door-ajar.toml", "many-lights.toml", "still-life.toml"] {
+        for file in
+            ["rough-glass.toml", "many-lights.toml", "surfaces.toml", "still-life.toml", "glass-shelf.toml"]
+        {
             assert_eq!(engine(file), EngineKind::Wavefront, "{file}");
         }
     }
