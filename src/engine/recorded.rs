@@ -166,7 +166,8 @@ impl RecordedLevel {
         (self.place, self.parity) = (0, 1 - self.parity);
     }
 
-    /// The words of a buffer as the next stage finds it, by the name that kernels call it (the `sorted` ones' `hits` are `hits_in`): `rays_in` are the rays of this
+    /// The words of a buffer as the next stage finds it, by the name that kernels call it (where hits have two buffers, those of
+    /// this level are `hits_in`): `rays_in` are the rays of this
     /// level. None if there is no such buffer.
     pub fn words(&self, name: &str) -> Result<Option<Vec<u32>>, RenderError> {
         let rays = ["rays_a", "rays_b"];
