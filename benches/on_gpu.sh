@@ -42,20 +42,22 @@ times() {
 }
 
 identity() {
-  echo "| scene | fused | sorted | streamed | compacted | cpu: largest difference | cpu: pixels within 1e-3 |"
-  echo "|---|---|---|---|---|---|---|"
-  for scene in scenes/*.toml; do
-    local name row; name=$(basename "$scene" .toml); row="| $name |"
-    local common="--size 96x72 --spp 64 --seed 5 --no-features -q"
-    "$QTRACER" render "$scene" $common --engine megakernel -o "$scratch/mega.exr" 2>/dev/null || row+=" megakernel failed"
-    for schedule in fused sorted streamed compacted; do
-      "$QTRACER" render "$scene" $common --engine wavefront --schedule $schedule -o "$scratch/w.exr" 2>/dev/null
-      row+=" $("$QTRACER" compare "$scratch/w.exr" "$scratch/mega.exr" --json 2>/dev/null | python3 -c 'import json,sys; print(json.load(sys.stdin)["differences"]["max_absolute"])') |"
+  {
+    echo "| scene | fused | sorted | streamed | compacted | cpu: largest difference | cpu: pixels within 1e-3 |"
+    echo "|---|---|---|---|---|---|---|"
+    for scene in scenes/*.toml; do
+      local name row; name=$(basename "$scene" .toml); row="| $name |"
+      local common="--size 96x72 --spp 64 --seed 5 --no-features -q"
+      "$QTRACER" render "$scene" $common --engine megakernel -o "$scratch/mega.exr" 2>/dev/null || row+=" megakernel failed"
+      for schedule in fused sorted streamed compacted; do
+        "$QTRACER" render "$scene" $common --engine wavefront --schedule $schedule -o "$scratch/w.exr" 2>/dev/null
+        row+=" $("$QTRACER" compare "$scratch/w.exr" "$scratch/mega.exr" --json 2>/dev/null | python3 -c 'import json,sys; print(json.load(sys.stdin)["differences"]["max_absolute"])') |"
+      done
+      "$QTRACER" render "$scene" $common --engine cpu -o "$scratch/c.exr" 2>/dev/null
+      row+=$("$QTRACER" compare "$scratch/c.exr" "$scratch/mega.exr" --json 2>/dev/null | python3 -c 'import json,sys; d=json.load(sys.stdin)["differences"]; print(" %.3g | %.2f %% |" % (d["max_absolute"], 100*d["share_within_1e3"]))')
+      echo "$row"
     done
-    "$QTRACER" render "$scene" $common --engine cpu -o "$scratch/c.exr" 2>/dev/null
-    row+=$("$QTRACER" compare "$scratch/c.exr" "$scratch/mega.exr" --json 2>/dev/null | python3 -c 'import json,sys; d=json.load(sys.stdin)["differences"]; print(" %.3g | %.2f %% |" % (d["max_absolute"], 100*d["share_within_1e3"]))')
-    echo "$row"
-  done | tee "$OUT/identity.md"
+  } | tee "$OUT/identity.md"
 }
 
 references() {

@@ -19,11 +19,12 @@ use std::cell::RefCell;
 use std::time::Duration;
 
 /// Scene, schedule, whether it guides.
-const CASES: [(&str, &str, bool); 7] = [
+const CASES: [(&str, &str, bool); 8] = [
     ("cornell-box", "fused", false),
     ("cornell-box", "streamed", false),
     ("cornell-box", "compacted", false),
     ("bansal-room-1", "fused", false),
+    ("bansal-room-1", "sorted", false),
     ("bansal-room-1", "streamed", false),
     ("bansal-room-1", "compacted", false),
     ("door-ajar", "streamed", true),
