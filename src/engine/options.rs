@@ -187,7 +187,8 @@ impl RenderOptions {
                 );
             }
         }
-        if self.split > Some(1) && self.schedule == Some(Schedule::Sorted) {
+        let wavefront = matches!(self.engine, EngineChoice::Auto | EngineChoice::Wavefront);
+        if wavefront && self.split > Some(1) && self.schedule == Some(Schedule::Sorted) {
             return refuse(
                 "split",
                 self.split.unwrap_or(1),

@@ -127,11 +127,6 @@ impl PathLengths {
         (self.ended > 0).then(|| self.rays as f64 / self.ended as f64)
     }
 
-    /// Levels of the longest paths.
-    pub fn longest(&self) -> u32 {
-        self.longest
-    }
-
     /// Levels of a path that the fused schedule traces before survivors go back to the queue: a power of two. Long paths gain,
     /// since they travel less often; of short ones too many would end early and leave their invocations idle.
     pub fn levels_at_once(&self) -> u32 {
@@ -158,6 +153,39 @@ impl PathLengths {
     }
 }
 
+/// How many levels visits of the sorted schedule may have. They end with the material, mostly long before a path's last level;
+/// none may have more than is reckoned with, so that no submission takes longer, and the bound follows what is seen.
+#[derive(Clone, Copy, Debug)]
+pub struct VisitBound {
+    levels: u32,
+}
+
+/// While nothing is known.
+const FIRST_VISIT: u32 = 8;
+const LEAST_VISIT: u32 = 2;
+const MOST_VISIT: u32 = 64;
+
+impl VisitBound {
+    pub fn unknown() -> Self {
+        VisitBound { levels: FIRST_VISIT }
+    }
+
+    pub fn levels(&self) -> u32 {
+        self.levels
+    }
+
+    /// Learns that `visits`, if the queues were full, traced `rays`: there is room for twice the mean. The bound falls by half at
+    /// most: a batch begins with fresh paths alone, whose visits have one level.
+    pub fn observe(&mut self, rays: u64, visits: u64) {
+        if rays == 0 || 2 * rays < visits {
+            return; // The queues were nearly empty.
+        }
+        let mean = (rays / visits.max(1)).clamp(1, u64::from(MOST_VISIT)) as u32;
+        let fitting = (2 * mean).next_power_of_two().clamp(LEAST_VISIT, MOST_VISIT);
+        self.levels = fitting.max(self.levels / 2);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -170,6 +198,23 @@ mod tests {
         let mut lengths = PathLengths::unknown(longest, false, direct_light);
         lengths.observe((mean * f64::from(1 << 20)) as u64, 1 << 20);
         lengths
+    }
+
+    #[test]
+    fn visits_may_have_twice_the_levels_that_they_have() {
+        let mut bound = VisitBound::unknown();
+        assert_eq!(bound.levels(), 8);
+        let mut after = |rays: u64, visits: u64| {
+            bound.observe(rays, visits);
+            bound.levels()
+        };
+        assert_eq!([after(5000, 1000), after(10_000, 1000), after(40_000, 1000)], [16, 32, 64]);
+        assert_eq!(after(64_000, 1000), 64, "no path has more");
+        assert_eq!(after(1000, 1000), 32, "fresh paths alone: half");
+        assert_eq!([after(300, 1000), after(0, 0), after(0, 1000)], [32; 3], "nearly empty");
+        assert_eq!([after(1000, 1000), after(900, 1000), after(1000, 1000)], [16, 8, 4]);
+        assert_eq!([after(1000, 1000), after(1000, 1000)], [2, 2]);
+        assert_eq!(after(u64::MAX / 4, 1), 64);
     }
 
     #[test]

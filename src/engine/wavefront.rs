@@ -3,7 +3,7 @@
 
 use super::auto::preferred_schedule;
 use super::gpu_film::{GpuFilm, Keys};
-use super::pacing::{Pacer, PathLengths, Progress, UNKNOWN_LEVELS};
+use super::pacing::{Pacer, PathLengths, Progress, UNKNOWN_LEVELS, VisitBound};
 use super::tracer::Tracer;
 use super::workload::Workload;
 use super::{Batch, CancelToken, EngineKind, RenderError, RenderOptions};
@@ -17,7 +17,8 @@ use crate::scene::compiled::{CompiledScene, Uniforms};
 use crate::transport::items::{HitItem, RayItem, ShadowItem};
 use wgpu::BufferUsages;
 
-/// Rays in flight by kind of adapter, where --pool does not say.
+/// Rays in flight by kind of adapter, where --pool does not say. Each takes 96 bytes of queues, in the sorted schedule 24 more
+/// for each material of the scene.
 const POOL: u32 = 1 << 22;
 const POOL_INTEGRATED: u32 = 1 << 20;
 const POOL_SOFTWARE: u32 = 1 << 16;
@@ -33,10 +34,10 @@ pub struct WavefrontEngine {
     /// In places of a queue, times levels of a path.
     pacer: Pacer,
     lengths: PathLengths,
-    /// Levels of a path that the fused kernel traces at once, if the caller decides.
+    /// Levels of a path that a visit traces, if the caller decides.
     grain: Option<u32>,
-    /// Levels that visits of the sorted schedule are reckoned to have at most; no bound before any was seen.
-    longest_visit: u32,
+    /// Of the sorted schedule.
+    visits: VisitBound,
     /// Levels that the last batch needed, 0 before the first: how many to record at first.
     expected_levels: u32,
 }
@@ -59,7 +60,8 @@ impl WavefrontEngine {
         let gpu = GpuFilm::new(gpu, scene, uniforms, keys, stages, schedule, "wavefront")?;
         let lengths = keys.lengths(uniforms.max_bounces);
         let workload = Workload::new(scene, &keys.own, uniforms.max_bounces, &gpu.gpu.summary);
-        let first = workload.first_rays(levels_a_visit(schedule, options.grain, &lengths));
+        let visits = VisitBound::unknown();
+        let first = workload.first_rays(levels_a_visit(schedule, options.grain, &lengths, visits));
         Ok(WavefrontEngine {
             gpu,
             schedule,
@@ -69,7 +71,7 @@ impl WavefrontEngine {
             pacer: Pacer::new(first),
             lengths,
             grain: options.grain,
-            longest_visit: u32::MAX,
+            visits,
             expected_levels: 0,
         })
     }
@@ -174,12 +176,6 @@ impl WavefrontEngine {
         u64::from(self.gpu.uniforms.capacity) * u64::from(at_once)
     }
 
-    /// Levels that a visit is reckoned to trace where it may trace `grain`. The sorted schedule's end with the material, mostly long
-    /// before their last level: twice as many as they had in the last submission.
-    fn visit(&self, grain: u32) -> u32 {
-        grain.min(self.longest_visit)
-    }
-
     /// How many levels to submit after `level` of them, which left these counters: as many as the last batch needed, or as
     /// many as are left by what is seen of this one; fewer where that could take long.
     fn levels_to_submit(&self, batch: &Batch, level: u32, counters: &[u32], at_once: u32) -> u32 {
@@ -219,6 +215,21 @@ impl WavefrontEngine {
         self.gpu.land(flight, bytemuck::pod_collect_to_vec)
     }
 
+    /// Learns how long `count` levels of visits of at most `grain` levels took, in which so many rays were traced.
+    fn learn_pace(&mut self, count: u32, grain: u32, traced: u64, seconds: f64) {
+        let [visits, full] = [1, grain].map(|levels| u64::from(count) * self.rays(levels));
+        let (amount, least) = match self.schedule {
+            // Most visits end before their last level: what was traced took that long.
+            Schedule::Sorted => (traced, visits),
+            _ => (full, full),
+        };
+        // Levels that were nearly empty say nothing of full ones, unless even they took too long.
+        if 2 * traced >= least || seconds > Pacer::TARGET {
+            self.pacer.observe(amount, seconds);
+        }
+        self.visits.observe(traced, visits);
+    }
+
     /// A queue that ran over is an error, never a darker image.
     fn check_overflow(&self, counters: &[u32]) -> Result<(), RenderError> {
         let overflow = counters[Counter::Overflow as usize];
@@ -233,10 +244,10 @@ impl WavefrontEngine {
 }
 
 /// Levels of a path that a kernel traces at once, at most: `grain`, if the caller decides.
-fn levels_a_visit(schedule: Schedule, grain: Option<u32>, lengths: &PathLengths) -> u32 {
+fn levels_a_visit(schedule: Schedule, grain: Option<u32>, lengths: &PathLengths, visits: VisitBound) -> u32 {
     match schedule {
         Schedule::Fused => grain.unwrap_or_else(|| lengths.levels_at_once()),
-        Schedule::Sorted => grain.unwrap_or_else(|| lengths.longest()),
+        Schedule::Sorted => grain.unwrap_or(visits.levels()),
         Schedule::Streamed | Schedule::Compacted => 1,
     }
 }
@@ -299,24 +310,16 @@ impl Tracer for WavefrontEngine {
             if cancel.is_cancelled() {
                 return Ok(false);
             }
-            let mut grain = levels_a_visit(self.schedule, self.grain, &self.lengths);
+            let mut grain = levels_a_visit(self.schedule, self.grain, &self.lengths, self.visits);
             // A level is submitted whole, so it is the levels of a visit that must not be too many.
-            while self.grain.is_none() && grain > 1 && self.rays(self.visit(grain)) > self.pacer.amount() {
+            while self.grain.is_none() && grain > 1 && self.rays(grain) > self.pacer.amount() {
                 grain /= 2;
             }
-            let count = self.levels_to_submit(batch, level, &counters, self.visit(grain));
+            let count = self.levels_to_submit(batch, level, &counters, grain);
             self.gpu.write_uniforms(&Uniforms { grain, ..uniforms });
             let (status, seconds) = self.submit_levels(level, count, film)?;
-            let full = u64::from(count) * self.rays(self.visit(grain));
             let traced = status[Counter::Rays as usize].saturating_sub(counters[Counter::Rays as usize]);
-            // Levels that were nearly empty say nothing of full ones, unless even they took too long.
-            if 2 * u64::from(traced) >= full || seconds > Pacer::TARGET {
-                self.pacer.observe(full, seconds);
-            }
-            let visits = u64::from(count) * self.rays(1);
-            if self.schedule == Schedule::Sorted && 2 * u64::from(traced) >= visits {
-                self.longest_visit = 2 * (u64::from(traced) / visits).max(1) as u32;
-            }
+            self.learn_pace(count, grain, u64::from(traced), seconds);
             level += count;
             counters = status;
             self.check_overflow(&counters)?;

@@ -20,7 +20,7 @@ pub enum Schedule {
     Streamed,
     /// One kernel for whole levels (intersection, shading and shadow test fused), some in a row; survivors streamed.
     Fused,
-    /// A list of hits per material, whose paths are followed for as long as they meet that material; then they change lists.
+    /// A list of hits per material, whose paths are followed while they meet that material; then they change lists.
     /// Paths cannot split here.
     Sorted,
 }
@@ -323,6 +323,8 @@ impl Stage {
         define("HIT_QUEUES", scene.hit_queues());
         define("MATERIAL_QUEUES", scene.material_queues());
         define("OWN_KERNELS", u32::from(scene.own_kernel().is_some()));
+        const { assert!(KINDS <= 8, "four bits a kind, in a word") };
+        debug_assert!(scene.own_kernel().is_none_or(|kind| scene.hit_queue(kind) == 0), "the first list");
         let kinds = 0..KINDS as u32;
         define("KIND_QUEUES", kinds.map(|kind| scene.hit_queue(kind) << (4 * kind)).sum());
         for (kind, name) in KIND_NAMES.iter().enumerate() {

@@ -346,7 +346,9 @@ fn a_small_pool_renders_what_a_large_one_does() {
 #[test]
 fn the_grain_does_not_change_the_image() {
     let (scene, options) = room();
-    for engine in [Engine::Wavefront(Schedule::Fused), Engine::Megakernel] {
+    for engine in
+        [Engine::Wavefront(Schedule::Fused), Engine::Wavefront(Schedule::Sorted), Engine::Megakernel]
+    {
         let [one, three] = [1, 3].map(|grain| {
             let options = RenderOptions { grain: Some(grain), max_bounces: Some(10), ..options.clone() };
             render(&scene, engine, &options, 16)
@@ -365,9 +367,12 @@ fn a_render_of_several_batches_holds_every_sample_once() {
     let scene = scene("furnace-open-half");
     let options = small(16, 16, 9);
     let cpu = render(&scene, Engine::Cpu, &options, 1100).film;
-    for engine in
-        [Engine::Megakernel, Engine::Wavefront(Schedule::Fused), Engine::Wavefront(Schedule::Compacted)]
-    {
+    for engine in [
+        Engine::Megakernel,
+        Engine::Wavefront(Schedule::Fused),
+        Engine::Wavefront(Schedule::Compacted),
+        Engine::Wavefront(Schedule::Sorted),
+    ] {
         let gpu = render(&scene, engine, &options, 1100);
         assert_eq!(gpu.film.samples(), (1100, 1100));
         assert_eq!(gpu.stats.paths, 1100 * 256);

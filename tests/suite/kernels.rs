@@ -533,6 +533,19 @@ fn a_scene_links_the_functions_of_its_own_materials_only() {
             }
         }
     }
+    // Kernels of the sorted schedule know one material of a scene, or all but that one; of one material alone, no surface.
+    let sorted = |name: &str, stage: Stage| {
+        let key = KernelKey::new(&CompiledScene::new(&scene(name)), &usual());
+        names(&link(stage, &key, Schedule::Sorted).unwrap())
+    };
+    let has = |functions: &BTreeSet<String>, prefix: &str| functions.iter().any(|f| f.starts_with(prefix));
+    let [own, others] = [Stage::Follow(0), Stage::FollowOthers].map(|stage| sorted("bansal-room-1", stage));
+    assert!(has(&own, "diffuse_") && !has(&own, "glossy_") && !has(&own, "dielectric_"), "{own:?}");
+    assert!(
+        !has(&others, "diffuse_") && has(&others, "glossy_") && has(&others, "dielectric_"),
+        "{others:?}"
+    );
+    assert!(!sorted("cornell-box", Stage::FollowOthers).contains("shade"));
     // Negative control: scenes with all of them have all of them.
     let scenes = ["bansal-room-1", "metal-spheres", "rough-glass"];
     let all: BTreeSet<String> = scenes
@@ -853,6 +866,8 @@ fn buffers_exist_for_what_the_scene_needs_and_nothing_else() {
     assert!(!have.contains_key("hits") && !have.contains_key("shadows"), "{have:?}");
     let (have, _) = buffers(&scene("bansal-room-1"), Schedule::Sorted, true);
     assert_eq!((have["hits_a"], have["hits_b"]), (4 * 12 * capacity, 4 * 12 * capacity));
+    let (have, _) = buffers(&scene("bansal-room-1"), Schedule::Streamed, true);
+    assert!(!have.contains_key("hits_a") && !have.contains_key("hits_b"), "{have:?}");
 }
 
 /// Functions of kernels/transport/light_tree and what they read.

@@ -198,8 +198,10 @@ fn what_is_poisoned_in_a_scene_poisons_no_image() {
         split,
     ];
     for (i, (name, scene)) in spoilt_boxes().iter().enumerate() {
+        // The last way splits, which the last schedule cannot.
         let (way, options) = (i, &ways[i]);
-        let engines = [Engine::Cpu, Engine::Megakernel, Engine::Wavefront(SCHEDULES[way % SCHEDULES.len()])];
+        let engines =
+            [Engine::Cpu, Engine::Megakernel, Engine::Wavefront(SCHEDULES[(way + 3) % SCHEDULES.len()])];
         let lost = engines.map(|engine| {
             let found = render_lossy(scene, engine, options, 14);
             let image = &found.image;
