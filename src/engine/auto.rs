@@ -3,7 +3,7 @@
 use super::{EngineKind, RenderOptions};
 use crate::gpu::key::KernelKey;
 use crate::gpu::stage::Schedule;
-use crate::scene::compiled::{CompiledScene, KIND_ROUGH_DIELECTRIC};
+use crate::scene::compiled::{CompiledScene, KIND_DIFFUSE, KIND_ROUGH_DIELECTRIC};
 
 /// Shape tests per level from which on the wavefront is faster: by then its queues' traffic hides behind them, and the
 /// megakernel loses more to invocations that wait for each other.
@@ -12,9 +12,10 @@ const MANY_TESTS: usize = 64;
 const MANY_KINDS: u32 = 3;
 
 /// The engine that is faster for this scene: the megakernel up to 63 shape tests a level, and where invocations do much alike
-/// whatever they meet: one kind of material, nothing textured, no tree of lights (0.99 to 1.38 times as fast as the fused
-/// schedule on the shipped scenes; door-ajar 1.04, guided 1.11; mesh 1.03). Else the wavefront (glass-shelf 1.05, many-lights 1.07,
-/// surfaces 1.09, interior 1.29, the chess model 1.33, still-life 1.4 times as fast). Rough glass, whose shading takes longer than
+/// whatever they meet: everything diffuse, nothing textured or smoothed, neither a tree of lights nor an environment map (0.99 to
+/// 1.40 times as fast as the fused schedule on the shipped scenes; door-ajar 1.04, guided 1.11; mesh 1.03). Else the wavefront
+/// (fused: glass-shelf 1.05, many-lights 1.07, surfaces 1.09; streamed: interior 1.29, the chess model 1.33, still-life 1.50
+/// times as fast). Rough glass, whose shading takes longer than
 /// what its neighbours do, always goes to the wavefront (rough-glass 1.14, by that scene alone). docs/PERFORMANCE.md.
 ///
 /// Options that only the wavefront knows imply it.
@@ -24,8 +25,13 @@ pub fn preferred_engine(scene: &CompiledScene, key: &KernelKey, options: &Render
     }
     let tests = scene.tests_per_ray() * if key.direct_light { 2 } else { 1 };
     let uneven = key.kinds[KIND_ROUGH_DIELECTRIC as usize];
-    let alike = key.material_queues() == 1 && !key.textures && !key.light_tree && !key.environment_map;
-    if (tests < MANY_TESTS || alike) && !uneven { EngineKind::Megakernel } else { EngineKind::Wavefront }
+    let diffuse = key.kinds[KIND_DIFFUSE as usize] && key.material_queues() == 1;
+    let plain = !key.textures && !key.smooth && !key.light_tree && !key.environment_map;
+    if (tests < MANY_TESTS || diffuse && plain) && !uneven {
+        EngineKind::Megakernel
+    } else {
+        EngineKind::Wavefront
+    }
 }
 
 /// The schedule for which the caller did not ask: `Streamed` for meshes of several materials, where the fused kernel waits for
@@ -63,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn few_shapes_and_one_material_go_to_the_megakernel_but_for_rough_glass() {
+    fn few_shapes_and_plain_diffuse_ones_go_to_the_megakernel_but_for_rough_glass() {
         let engine = |file: &str| {
             let path = format!("{}/scenes/{file}", env!("CARGO_MANIFEST_DIR"));
             let scene = Scene::load(path).expect("a shipped scene loads");

@@ -109,7 +109,7 @@ impl RecordedLevel {
         let items = match stage {
             Stage::Generate => counter(Counter::Live) - counter(Counter::FreshBegin),
             Stage::Intersect | Stage::Compact | Stage::Step => counter(Counter::Live),
-            // All of the level, its others and fresh ones.
+            // Paths of the level that stand at surfaces of that kind; all others, and fresh ones.
             Stage::Follow(kind) => length(key.hit_queue(kind)),
             Stage::FollowOthers => {
                 let own = key.own_kernel().map_or(0, |kind| length(key.hit_queue(kind)));
@@ -167,8 +167,7 @@ impl RecordedLevel {
     }
 
     /// The words of a buffer as the next stage finds it, by the name that kernels call it (where hits have two buffers, those of
-    /// this level are `hits_in`): `rays_in` are the rays of this
-    /// level. None if there is no such buffer.
+    /// this level are `hits_in`): `rays_in` are the rays of this level. None if there is no such buffer.
     pub fn words(&self, name: &str) -> Result<Option<Vec<u32>>, RenderError> {
         let rays = ["rays_a", "rays_b"];
         let name = match name {

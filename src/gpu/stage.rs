@@ -27,7 +27,7 @@ pub enum Schedule {
 
 /// Invocations per workgroup of every kernel but the one-invocation ones. 256 is what every browser grants.
 pub const WORKGROUP: u32 = 256;
-/// Most items that an invocation takes one after the other of a list of the sorted schedule.
+/// Most items of a list of the sorted schedule for each invocation of a workgroup.
 pub const ITEMS: u32 = 4;
 /// Invocations per workgroup of the commit kernel: cells are few, and each has much to do.
 pub const CELLS_AT_ONCE: u32 = 32;
