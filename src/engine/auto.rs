@@ -15,8 +15,8 @@ const MANY_KINDS: u32 = 3;
 /// whatever they meet: everything diffuse, nothing textured or smoothed, neither a tree of lights nor an environment map (0.99 to
 /// 1.40 times as fast as the fused schedule on the shipped scenes; door-ajar 1.04, guided 1.11; mesh 1.03). Else the wavefront
 /// (fused: glass-shelf 1.05, many-lights 1.07, surfaces 1.09; streamed: interior 1.29, the chess model 1.33, still-life 1.50
-/// times as fast). Rough glass, whose shading takes longer than
-/// what its neighbours do, always goes to the wavefront (rough-glass 1.14, by that scene alone). docs/PERFORMANCE.md.
+/// times as fast). Rough glass, whose shading takes longer than what its neighbours do, always goes to the wavefront
+/// (rough-glass 1.14, by that scene alone). docs/PERFORMANCE.md.
 ///
 /// Options that only the wavefront knows imply it.
 pub fn preferred_engine(scene: &CompiledScene, key: &KernelKey, options: &RenderOptions) -> EngineKind {
