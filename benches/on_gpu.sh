@@ -73,17 +73,25 @@ references() {
   done | tee "$OUT/references.md"
 }
 
-growth() { # time and memory against samples and pixels
-  local row
-  row() { echo "| $1 | $2 | $("$QTRACER" render scenes/$1.toml --size "$2" --spp "$3" --engine "$4" --guide off --seed 3 -q --no-features --stats json -o "$scratch/g.exr" 2>/dev/null |
-    python3 -c 'import json,sys; d=json.load(sys.stdin); n=d["paths"]; print(d["samples"], "|", d["engine"], "|", "%.1f" % (1e3*d["gpu_seconds"]), "|", "%.4f" % (1e9*d["gpu_seconds"]/n), "|", "%.1f" % (sum(d["buffers"].values())/2**20))') |"; }
-  {
-    echo "| scene | pixels | samples | engine | GPU ms | ns a sample | MiB of buffers |"; echo "|---|---|---|---|---|---|---|"
-    for engine in megakernel wavefront; do
-      for spp in 16 64 256 1024; do row cornell-box 640x480 $spp $engine; done
-      for size in 1280x960 2560x1920 3264x2448; do row cornell-box $size 64 $engine; done
-    done
-  } | tee "$OUT/growth.md"
+growth() { # time and memory against samples and pixels: medians, and how far a sample is from costing what one of 1024 does
+  local rows="$OUT/growth.jsonl"; rm -f "$rows"
+  row() { "$ENGINE_TIMES" --scene "scenes/$1.toml" --size $2 --spp "$3" --stratified --engines mega,fused --json "$rows" >/dev/null; }
+  for scene in cornell-box bansal-room-5; do
+    for spp in 16 64 256 1024; do row $scene "640 480" $spp; done
+  done
+  for size in "1280 960" "2560 1920" "3264 2448"; do row cornell-box "$size" 64; done
+  python3 - "$rows" <<'END' | tee "$OUT/growth.md"
+import json, statistics, sys
+rows = [json.loads(line) for line in open(sys.argv[1])]
+each = lambda row: 1e6 * statistics.median(row["gpu_ms"]) / row["paths"]
+print("| scene | pixels | samples | engine | GPU ms | ns a sample | of 640x480x1024 | MiB of buffers |")
+print("|---|---|---|---|---|---|---|---|")
+for row in sorted(rows, key=lambda row: (row["scene"], row["engine"] == "fused")):
+    most = next(r for r in rows if (r["scene"], r["engine"], r["spp"]) == (row["scene"], row["engine"], 1024))
+    width, height = row["size"]
+    print(f"| {row['scene']} | {width}x{height} | {row['spp']} | {row['engine']} | {statistics.median(row['gpu_ms']):.3f} | {each(row):.4f} "
+          f"| {each(row) / each(most):.3f} | {sum(row['stats']['buffers'].values()) / 2**20:.1f} |")
+END
 }
 
 startup() { # from the start of the process to ready kernels, and to the end of a render of one sample

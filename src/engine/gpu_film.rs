@@ -430,6 +430,10 @@ impl Clock {
 
 /// Workgroups of the two-dimensional grid for `items` invocations.
 pub fn grid(items: u32) -> [u32; 2] {
-    let groups = items.div_ceil(WORKGROUP);
+    grid_of(items.div_ceil(WORKGROUP))
+}
+
+/// … of so many in all, whatever their size.
+pub fn grid_of(groups: u32) -> [u32; 2] {
     [groups.min(GRID_WIDTH), groups.div_ceil(GRID_WIDTH)]
 }

@@ -1,13 +1,13 @@
 //! The megakernel engine: whole paths in one kernel. Its dispatches cover ranges of paths.
 
-use super::gpu_film::{GpuFilm, Keys, grid};
-use super::pacing::{Pacer, PathLengths};
+use super::gpu_film::{GpuFilm, Keys, grid_of};
+use super::pacing::{Pacer, PathLengths, Shares};
 use super::tracer::Tracer;
 use super::workload::Workload;
 use super::{Batch, CancelToken, EngineKind, RenderError, RenderOptions};
 use crate::film::Film;
 use crate::gpu::device::Gpu;
-use crate::gpu::stage::{Counter, Schedule, Stage, WORKGROUP, counter_words};
+use crate::gpu::stage::{Counter, MEGAKERNEL_WORKGROUP, Schedule, Stage, counter_words};
 use crate::scene::compiled::{CompiledScene, Uniforms};
 use wgpu::BufferUsages;
 
@@ -53,7 +53,7 @@ impl MegakernelEngine {
         let turns_a_level = 1 + shapes * if self.gpu.key.bvh.is_some() { 4 } else { 2 };
         let turns_a_path = u64::from(max_bounces) * u64::from(self.gpu.key.places) * turns_a_level;
         let paths = u64::from(SOFTWARE_TURNS) / turns_a_path;
-        1 + paths.saturating_sub(1) as u32 / (WORKGROUP / 8)
+        1 + paths.saturating_sub(1) as u32 / (MEGAKERNEL_WORKGROUP / 8)
     }
 }
 
@@ -90,13 +90,16 @@ impl Tracer for MegakernelEngine {
             }
             let count = self.pacer.part(batch.paths() - path);
             let grain = self.grain.unwrap_or_else(|| self.lengths.paths_at_once(count));
-            let grain = grain.min(self.most_grain(uniforms.max_bounces));
-            self.gpu.write_uniforms(&Uniforms { first_path: path, path_count: count, grain, ..uniforms });
+            let shares = Shares::new(count, grain.min(self.most_grain(uniforms.max_bounces)));
+            let Shares { grain, early_groups, late_grain } = shares;
+            let part =
+                Uniforms { first_path: path, path_count: count, grain, early_groups, late_grain, ..uniforms };
+            self.gpu.write_uniforms(&part);
             let bind = self.bind.as_ref();
             let flight = self.gpu.launch(Some("counters"), |this, pass| {
                 pass.set_pipeline(&this.kernels[&Stage::Megakernel].pipeline);
                 pass.set_bind_group(0, bind, &[]);
-                let [x, y] = grid(count.div_ceil(grain));
+                let [x, y] = grid_of(shares.groups(count));
                 pass.dispatch_workgroups(x, y, 1);
             });
             self.gpu.receive_sums(film)?;

@@ -1,5 +1,7 @@
 //! How much is done at once: by a submission, and by an invocation. Neither changes what is computed, only when.
 
+use crate::gpu::stage::MEGAKERNEL_WORKGROUP;
+
 /// How much work to submit at once: grows or shrinks so that a submission takes [`Pacer::TARGET`] seconds, short enough
 /// that no driver takes the GPU for hung. It changes what is submitted together, never what is computed.
 pub struct Pacer {
@@ -99,7 +101,7 @@ const RAYS_A_LEVEL_PLAIN: f64 = 0.92;
 /// Most levels at once: by then the traffic of queues has gone, and what grows is the wait for the longest path.
 const MOST_LEVELS: u32 = 8;
 /// Paths after which an invocation of the megakernel has smoothed their lengths out.
-const MOST_PATHS: u32 = 16;
+const MOST_PATHS: u32 = 32;
 /// Mean length, as a share of the longest, above which paths are much alike.
 const MOST_ALIKE: f64 = 0.8;
 /// Levels up to which paths are taken for alike before any was traced, if roulette ends none: of Bansal's scenes with 8 levels
@@ -108,6 +110,36 @@ const MOST_ALIKE: f64 = 0.8;
 const FEW_LEVELS: u32 = 16;
 /// Invocations that fill a large GPU; below, more paths for each would leave parts of it idle.
 const INVOCATIONS: u32 = 1 << 18;
+
+/// How the workgroups of a dispatch of the megakernel share its paths: most get `grain` for each of their invocations, the last
+/// ones fewer. Else the whole dispatch would wait for those that happen to begin last.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shares {
+    pub grain: u32,
+    /// Workgroups that get `grain`.
+    pub early_groups: u32,
+    pub late_grain: u32,
+}
+
+/// The late part of a dispatch, in paths for each early one of an invocation: enough that what is left of the early part when
+/// it begins is done before it.
+const LATE_INVOCATIONS: u32 = 1 << 15;
+/// How many times fewer paths an invocation of the late part traces.
+const LATE_SHARE: u32 = 4;
+
+impl Shares {
+    pub fn new(count: u32, grain: u32) -> Shares {
+        let late = (grain * LATE_INVOCATIONS).min(count / 2);
+        let early_groups = (count - late) / (MEGAKERNEL_WORKGROUP * grain);
+        Shares { grain, early_groups, late_grain: (grain / LATE_SHARE).max(1) }
+    }
+
+    /// Workgroups for `count` paths.
+    pub fn groups(&self, count: u32) -> u32 {
+        let late = count - self.early_groups * MEGAKERNEL_WORKGROUP * self.grain;
+        self.early_groups + late.div_ceil(MEGAKERNEL_WORKGROUP * self.late_grain)
+    }
+}
 
 impl PathLengths {
     /// Nothing is known but what the kernels do.
@@ -221,10 +253,30 @@ mod tests {
     fn grains_follow_the_lengths_of_paths() {
         let levels = [1.0, 2.7, 5.6, 5.7, 11.3, 11.4, 55.0].map(|mean| lengths(mean).levels_at_once());
         assert_eq!(levels, [2, 2, 2, 4, 4, 8, 8]);
-        let many = 1 << 24;
-        assert_eq!([5.0, 23.0, 60.0].map(|mean| lengths(mean).paths_at_once(many)), [16, 16, 1]);
+        let many = 1 << 25;
+        assert_eq!([5.0, 23.0, 60.0].map(|mean| lengths(mean).paths_at_once(many)), [32, 32, 1]);
         assert_eq!(lengths_of(7.0, 8, true).paths_at_once(many), 1, "nearly all run to the last level");
         assert_eq!(lengths(5.0).paths_at_once(1 << 16), 1, "too few paths to fill a GPU");
+    }
+
+    /// Workgroups of the two kinds hold all paths, and none is for nothing.
+    #[test]
+    fn the_last_workgroups_of_a_dispatch_get_less() {
+        for count in [1, 127, 128, 129, 5000, 4_915_200, 1 << 25] {
+            for grain in [1, 2, 3, 18, 32, 64] {
+                let shares = Shares::new(count, grain);
+                let early = MEGAKERNEL_WORKGROUP * grain * shares.early_groups;
+                let late_groups = shares.groups(count) - shares.early_groups;
+                let late = MEGAKERNEL_WORKGROUP * shares.late_grain * late_groups;
+                assert!(early <= count && early + late >= count, "{count}: {shares:?}");
+                assert!(
+                    early + late < count + MEGAKERNEL_WORKGROUP * shares.late_grain,
+                    "{count}: {shares:?}"
+                );
+            }
+        }
+        assert_eq!(Shares::new(1 << 24, 1).late_grain, 1);
+        assert_eq!(Shares::new(1 << 25, 32), Shares { grain: 32, early_groups: 7936, late_grain: 8 });
     }
 
     /// Bansal's experiments and room, 8 levels: what took the least time on an H100, or 3 % more at most.
@@ -239,9 +291,9 @@ mod tests {
 
     #[test]
     fn guesses_go_by_what_ends_paths() {
-        let many = 1 << 24;
+        let many = 1 << 25;
         let guess = |longest, roulette| PathLengths::unknown(longest, roulette, true).paths_at_once(many);
-        assert_eq!([guess(8, false), guess(8, true), guess(64, false), guess(64, true)], [1, 16, 16, 16]);
+        assert_eq!([guess(8, false), guess(8, true), guess(64, false), guess(64, true)], [1, 32, 32, 32]);
         assert_eq!(PathLengths::unknown(64, true, true).levels_at_once(), 2);
         assert_eq!(PathLengths::unknown(64, true, false).levels_at_once(), 4);
     }

@@ -23,6 +23,10 @@ const POOL: u32 = 1 << 22;
 const POOL_INTEGRATED: u32 = 1 << 20;
 const POOL_SOFTWARE: u32 = 1 << 16;
 
+/// Part of a pool that a level of the fused schedule traces at least, by longer visits where fewer rays are left. On an H100 a
+/// level of so many takes about twice what an empty one does; a fourth to a sixteenth were as good (docs/PERFORMANCE.md).
+const LEAST_PART: u32 = 8;
+
 pub struct WavefrontEngine {
     gpu: GpuFilm,
     schedule: Schedule,
@@ -316,7 +320,9 @@ impl Tracer for WavefrontEngine {
                 grain /= 2;
             }
             let count = self.levels_to_submit(batch, level, &counters, grain);
-            self.gpu.write_uniforms(&Uniforms { grain, ..uniforms });
+            let longest_visit = self.grain.unwrap_or(uniforms.max_bounces);
+            let least_rays = uniforms.capacity / LEAST_PART;
+            self.gpu.write_uniforms(&Uniforms { grain, longest_visit, least_rays, ..uniforms });
             let (status, seconds) = self.submit_levels(level, count, film)?;
             let traced = status[Counter::Rays as usize].saturating_sub(counters[Counter::Rays as usize]);
             self.learn_pace(count, grain, u64::from(traced), seconds);

@@ -25,8 +25,10 @@ pub enum Schedule {
     Sorted,
 }
 
-/// Invocations per workgroup of every kernel but the one-invocation ones. 256 is what every browser grants.
+/// Invocations per workgroup of every kernel but those below and the one-invocation ones. 256 is what every browser grants.
 pub const WORKGROUP: u32 = 256;
+/// … of the megakernel, where a workgroup occupies its part of the GPU until its longest path ends: smaller parts wait less.
+pub const MEGAKERNEL_WORKGROUP: u32 = 128;
 /// Most items of a list of the sorted schedule for each invocation of a workgroup.
 pub const ITEMS: u32 = 4;
 /// Invocations per workgroup of the commit kernel: cells are few, and each has much to do.
@@ -63,10 +65,12 @@ pub enum Counter {
     Places,
     /// Levels of this batch in which there was anything to do.
     Levels,
+    /// Levels of a path that a visit of this level may have.
+    Visit,
     FirstHit,
 }
 
-const COUNTER_NAMES: [&str; 13] = [
+const COUNTER_NAMES: [&str; 14] = [
     "COUNTER_OVERFLOW",
     "COUNTER_SURVIVORS",
     "COUNTER_LIVE",
@@ -79,6 +83,7 @@ const COUNTER_NAMES: [&str; 13] = [
     "COUNTER_RAYS",
     "COUNTER_PLACES",
     "COUNTER_LEVELS",
+    "COUNTER_VISIT",
     "FIRST_HIT_COUNTER",
 ];
 
@@ -267,7 +272,8 @@ impl Stage {
         let mut define = |name: &str, value: u32| {
             let _ = writeln!(text, "const {name}: u32 = {value}u;");
         };
-        define("WORKGROUP", WORKGROUP);
+        let workgroup = if self == Stage::Megakernel { MEGAKERNEL_WORKGROUP } else { WORKGROUP };
+        define("WORKGROUP", workgroup);
         define("CELLS_AT_ONCE", CELLS_AT_ONCE);
         define("BLOCK", BLOCK);
         define("ITEMS", if self == Stage::FollowOthers { 1 } else { ITEMS });

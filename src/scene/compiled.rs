@@ -63,6 +63,13 @@ gpu_struct! {
         light_count: u32,
         /// How much an invocation does before it passes on: levels of its path in `step`, paths in `megakernel`.
         grain: u32,
+        /// The megakernel's last workgroups, from this one on, trace fewer paths: `late_grain` for each invocation.
+        early_groups: u32,
+        late_grain: u32,
+        /// Where few rays are left, visits of `step` get longer, up to so many levels, …
+        longest_visit: u32,
+        /// … so that a level of them all traces about so many rays.
+        least_rays: u32,
         /// Where the parts of the scene that only hits read begin, in rows: scene/rows.rs.
         first_sphere_rest_row: u32,
         first_quad_rest_row: u32,

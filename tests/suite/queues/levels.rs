@@ -13,9 +13,13 @@ fn preparing_a_level_fills_the_pool_and_loses_no_path() {
         ProptestConfig { cases: 40, failure_persistence: None, ..Default::default() },
         proptest::test_runner::TestRng::deterministic_rng(proptest::test_runner::RngAlgorithm::ChaCha),
     );
-    let strategy = (1u32..1 << 25, 0.0..=1.0f64, 0u32..1 << 25, 0.0..=1.0f64, 0.0..=1.0f64);
+    let pool = (1u32..1 << 25, 0.0..=1.0f64, 0u32..1 << 25, 0.0..=1.0f64, 0.0..=1.0f64);
+    let strategy = (pool, 1u32..=8, 1u32..=64, 0..4u32);
     runner
-        .run(&strategy, |(capacity, full, paths, begun, shadowed)| {
+        .run(&strategy, |((capacity, full, paths, begun, shadowed), grain, longest_visit, few)| {
+            // Some levels of a pool that has been drained.
+            let full = if few == 0 { full / 16.0 } else { full };
+            let begun = if few == 0 { 1.0 } else { begun };
             let survivors = (f64::from(capacity) * full) as u32;
             let next = (f64::from(paths) * begun) as u32;
             let shadows = (f64::from(capacity) * shadowed) as u32;
@@ -29,7 +33,9 @@ fn preparing_a_level_fills_the_pool_and_loses_no_path() {
             ]);
             let arguments = vec![UNTOUCHED; argument_words(&harness.key) as usize];
             let lengths = vec![UNTOUCHED; 4 * length_rows(&harness.key) as usize];
-            let uniforms = Uniforms { capacity, path_count: paths, ..Uniforms::zeroed() };
+            let least_rays = capacity / 8;
+            let own = Uniforms { capacity, path_count: paths, ..Uniforms::zeroed() };
+            let uniforms = Uniforms { grain, longest_visit, least_rays, ..own };
             let read = harness.run(
                 uniforms,
                 &[
@@ -50,7 +56,14 @@ fn preparing_a_level_fills_the_pool_and_loses_no_path() {
             prop_assert_eq!(counter(Counter::Levels), 7 + u32::from(survivors + fresh + shadows > 0));
             prop_assert_eq!(counter(Counter::ShadowsLive), shadows);
             prop_assert_eq!(counter(Counter::Overflow), 0);
-            for told in [Counter::Live, Counter::FreshBegin, Counter::NextPath, Counter::ShadowsLive] {
+            // Where few are left, they go further, as far as they may and until a level traces least_rays.
+            let (live, visit) = (u64::from((survivors + fresh).max(1)), counter(Counter::Visit));
+            let within = |visit: u32| live * u64::from(visit) <= u64::from(least_rays);
+            prop_assert!(visit == grain || visit <= longest_visit && within(visit), "{visit} of {live}");
+            prop_assert!(visit >= longest_visit || !within(visit + 1), "{visit} levels of {live} rays");
+            prop_assert!(visit >= grain);
+            let told = [Counter::Live, Counter::FreshBegin, Counter::NextPath, Counter::ShadowsLive];
+            for told in told.into_iter().chain([Counter::Visit]) {
                 prop_assert_eq!(lengths[told as usize], counter(told), "{:?}", told);
             }
             for cleared in [Counter::Survivors, Counter::Shadows, Counter::FirstHit] {
