@@ -15,8 +15,8 @@ const MANY_KINDS: u32 = 3;
 /// whatever they meet: everything diffuse, nothing textured or smoothed, neither a tree of lights nor an environment map (0.99 to
 /// 1.40 times as fast as the fused schedule on the shipped scenes; door-ajar 1.04, guided 1.11; mesh 1.03). Else the wavefront
 /// (fused: glass-shelf 1.05, many-lights 1.07, surfaces 1.09; streamed: interior 1.29, the chess model 1.33, still-life 1.50
-/// times as fast). Rough glass, whose shading takes longer than what its neighbours do, always goes to the wavefront
-/// (rough-glass 1.14, by that scene alone). docs/PERFORMANCE.md.
+/// times as fast). Rough glass, whose shading takes longer than what its neighbours do, and environment maps, which are searched
+/// in memory, always go to the wavefront (rough-glass 1.09, open-sky 1.03, by those scenes alone). docs/PERFORMANCE.md.
 ///
 /// Options that only the wavefront knows imply it.
 pub fn preferred_engine(scene: &CompiledScene, key: &KernelKey, options: &RenderOptions) -> EngineKind {
@@ -24,7 +24,7 @@ pub fn preferred_engine(scene: &CompiledScene, key: &KernelKey, options: &Render
         return EngineKind::Wavefront;
     }
     let tests = scene.tests_per_ray() * if key.direct_light { 2 } else { 1 };
-    let uneven = key.kinds[KIND_ROUGH_DIELECTRIC as usize];
+    let uneven = key.kinds[KIND_ROUGH_DIELECTRIC as usize] || key.environment_map;
     let diffuse = key.kinds[KIND_DIFFUSE as usize] && key.material_queues() == 1;
     let plain = !key.textures && !key.smooth && !key.light_tree && !key.environment_map;
     if (tests < MANY_TESTS || diffuse && plain) && !uneven {
@@ -77,13 +77,18 @@ mod tests {
             let key = KernelKey::new(&compiled, &options.estimators(&scene));
             preferred_engine(&compiled, &key, &options)
         };
-        let few = ["cornell-box.toml", "bansal-room-5.toml", "metal-spheres.toml", "open-sky.toml"];
+        let few = ["cornell-box.toml", "bansal-room-5.toml", "metal-spheres.toml", "glass-caustic.toml"];
         for file in few.into_iter().chain(["door-ajar.toml", "mesh.toml"]) {
             assert_eq!(engine(file), EngineKind::Megakernel, "{file}");
         }
-        for file in
-            ["rough-glass.toml", "many-lights.toml", "surfaces.toml", "still-life.toml", "glass-shelf.toml"]
-        {
+        for file in [
+            "rough-glass.toml",
+            "open-sky.toml",
+            "many-lights.toml",
+            "surfaces.toml",
+            "still-life.toml",
+            "glass-shelf.toml",
+        ] {
             assert_eq!(engine(file), EngineKind::Wavefront, "{file}");
         }
     }

@@ -102,6 +102,11 @@ const RAYS_A_LEVEL_PLAIN: f64 = 0.92;
 const MOST_LEVELS: u32 = 8;
 /// Paths after which an invocation of the megakernel has smoothed their lengths out.
 const MOST_PATHS: u32 = 32;
+/// Rays of a path on average below which most are camera rays. Those of neighbours do much alike, and the more paths an invocation
+/// has had, the less its neighbours do what it does: scenes of 1.8 to 2.1 rays a path took 1.04 to 1.12 times as long with 32,
+/// scenes of 2.7 and more 0.96 to 0.99 times as long as with 16.
+const SHORT: f64 = 2.4;
+const MOST_SHORT_PATHS: u32 = 8;
 /// Mean length, as a share of the longest, above which paths are much alike.
 const MOST_ALIKE: f64 = 0.8;
 /// Levels up to which paths are taken for alike before any was traced, if roulette ends none: of Bansal's scenes with 8 levels
@@ -181,7 +186,9 @@ impl PathLengths {
             Some(mean) => mean < MOST_ALIKE * f64::from(self.longest),
             None => self.roulette || self.longest > FEW_LEVELS,
         };
-        if differ { (count / INVOCATIONS).clamp(1, MOST_PATHS) } else { 1 }
+        let short = self.mean().is_some_and(|mean| mean < SHORT);
+        let most = if short { MOST_SHORT_PATHS } else { MOST_PATHS };
+        if differ { (count / INVOCATIONS).clamp(1, most) } else { 1 }
     }
 }
 
@@ -192,14 +199,14 @@ pub struct VisitBound {
     levels: u32,
 }
 
-/// While nothing is known.
-const FIRST_VISIT: u32 = 8;
-const LEAST_VISIT: u32 = 2;
+/// The least bound, and that while nothing is known. Few visits come near it, but those that a shorter one ends come back to a list:
+/// with a bound of twice the mean whatever it be, 2 to 4 levels, `bansal-room-1` took 17.5 ms for 14.6 (docs/PERFORMANCE.md).
+const LEAST_VISIT: u32 = 16;
 const MOST_VISIT: u32 = 64;
 
 impl VisitBound {
     pub fn unknown() -> Self {
-        VisitBound { levels: FIRST_VISIT }
+        VisitBound { levels: LEAST_VISIT }
     }
 
     pub fn levels(&self) -> u32 {
@@ -235,7 +242,7 @@ mod tests {
     #[test]
     fn visits_may_have_twice_the_levels_that_they_have() {
         let mut bound = VisitBound::unknown();
-        assert_eq!(bound.levels(), 8);
+        assert_eq!(bound.levels(), 16);
         let mut after = |rays: u64, visits: u64| {
             bound.observe(rays, visits);
             bound.levels()
@@ -244,8 +251,7 @@ mod tests {
         assert_eq!(after(64_000, 1000), 64, "no path has more");
         assert_eq!(after(1000, 1000), 32, "fresh paths alone: half");
         assert_eq!([after(300, 1000), after(0, 0), after(0, 1000)], [32; 3], "nearly empty");
-        assert_eq!([after(1000, 1000), after(900, 1000), after(1000, 1000)], [16, 8, 4]);
-        assert_eq!([after(1000, 1000), after(1000, 1000)], [2, 2]);
+        assert_eq!([after(1000, 1000), after(900, 1000), after(1000, 1000)], [16; 3], "never less");
         assert_eq!(after(u64::MAX / 4, 1), 64);
     }
 
@@ -255,6 +261,11 @@ mod tests {
         assert_eq!(levels, [2, 2, 2, 4, 4, 8, 8]);
         let many = 1 << 25;
         assert_eq!([5.0, 23.0, 60.0].map(|mean| lengths(mean).paths_at_once(many)), [32, 32, 1]);
+        assert_eq!(
+            [1.3, 2.3, 2.5].map(|mean| lengths(mean).paths_at_once(many)),
+            [8, 8, 32],
+            "camera rays, mostly"
+        );
         assert_eq!(lengths_of(7.0, 8, true).paths_at_once(many), 1, "nearly all run to the last level");
         assert_eq!(lengths(5.0).paths_at_once(1 << 16), 1, "too few paths to fill a GPU");
     }

@@ -46,6 +46,14 @@ pub struct WavefrontEngine {
     expected_levels: u32,
 }
 
+/// What is submitted at once: levels, how many rays are in flight in each at most, and how many levels of its path a visit to one
+/// of them traces.
+struct Submission {
+    levels: u32,
+    rays: u32,
+    grain: u32,
+}
+
 impl WavefrontEngine {
     pub fn new(
         gpu: Gpu,
@@ -175,15 +183,35 @@ impl WavefrontEngine {
         fillings * (self.gpu.uniforms.max_bounces + waits + 1) + 4
     }
 
-    /// Rays of a level, if the pool is full and all paths live through the levels of a visit.
-    fn rays(&self, at_once: u32) -> u64 {
-        u64::from(self.gpu.uniforms.capacity) * u64::from(at_once)
+    /// What to submit after `level` levels, which left these counters.
+    fn next_submission(&self, batch: &Batch, level: u32, counters: &[u32]) -> Submission {
+        let pool = self.gpu.uniforms.capacity;
+        let mut grain = levels_a_visit(self.schedule, self.grain, &self.lengths, self.visits);
+        // A level is submitted whole, so it is the levels of a visit that must not be too many.
+        while self.grain.is_none() && grain > 1 && u64::from(pool) * u64::from(grain) > self.pacer.amount() {
+            grain /= 2;
+        }
+        let survivors = counters[Counter::Survivors as usize];
+        let rays = if self.leaves_none(grain) && survivors == 0 {
+            let fitting = self.pacer.amount() / u64::from(grain);
+            pool.max(batch.paths().min(fitting.min(u64::from(u32::MAX)) as u32))
+        } else {
+            pool
+        };
+        let fitting = self.pacer.amount() / (u64::from(rays) * u64::from(grain));
+        let left = self.levels_left(batch, level, counters, grain).min(self.most_levels(batch));
+        Submission { levels: left.min(fitting.clamp(1, u64::from(u32::MAX)) as u32), rays, grain }
     }
 
-    /// How many levels to submit after `level` of them, which left these counters: as many as the last batch needed, or as
-    /// many as are left by what is seen of this one; fewer where that could take long.
-    fn levels_to_submit(&self, batch: &Batch, level: u32, counters: &[u32], at_once: u32) -> u32 {
-        let left = match self.expected_levels.saturating_sub(level) {
+    /// Whether visits of so many levels trace paths to their ends. None comes back to a queue then, so there may be more at once
+    /// than a queue holds.
+    fn leaves_none(&self, grain: u32) -> bool {
+        self.schedule == Schedule::Fused && self.gpu.key.places == 1 && grain >= self.gpu.uniforms.max_bounces
+    }
+
+    /// Levels that are left after `level` of them: as many as the last batch needed, or by what is seen of this one.
+    fn levels_left(&self, batch: &Batch, level: u32, counters: &[u32], grain: u32) -> u32 {
+        match self.expected_levels.saturating_sub(level) {
             0 if level == 0 => UNKNOWN_LEVELS,
             0 => {
                 let counter = |c: Counter| counters[c as usize];
@@ -192,14 +220,12 @@ impl WavefrontEngine {
                     paths: batch.paths(),
                     started: counter(Counter::NextPath),
                     flying: counter(Counter::Survivors),
-                    visits: counter(Counter::Rays) / at_once,
+                    visits: counter(Counter::Rays) / grain,
                 };
                 progress.levels_left()
             }
             expected => expected,
-        };
-        let fitting = self.pacer.amount() / self.rays(at_once);
-        left.min(self.most_levels(batch)).min(fitting.clamp(1, u64::from(u32::MAX)) as u32)
+        }
     }
 
     /// Submits `count` levels, the first of which is number `first`, and reads the counters behind them.
@@ -219,9 +245,10 @@ impl WavefrontEngine {
         self.gpu.land(flight, bytemuck::pod_collect_to_vec)
     }
 
-    /// Learns how long `count` levels of visits of at most `grain` levels took, in which so many rays were traced.
-    fn learn_pace(&mut self, count: u32, grain: u32, traced: u64, seconds: f64) {
-        let [visits, full] = [1, grain].map(|levels| u64::from(count) * self.rays(levels));
+    /// Learns how long a submission took, in which so many rays were traced.
+    fn learn_pace(&mut self, submission: &Submission, traced: u64, seconds: f64) {
+        let visits = u64::from(submission.levels) * u64::from(submission.rays);
+        let full = visits * u64::from(submission.grain);
         let (amount, least) = match self.schedule {
             // Most visits end before their last level: what was traced took that long.
             Schedule::Sorted => (traced, visits),
@@ -314,18 +341,14 @@ impl Tracer for WavefrontEngine {
             if cancel.is_cancelled() {
                 return Ok(false);
             }
-            let mut grain = levels_a_visit(self.schedule, self.grain, &self.lengths, self.visits);
-            // A level is submitted whole, so it is the levels of a visit that must not be too many.
-            while self.grain.is_none() && grain > 1 && self.rays(grain) > self.pacer.amount() {
-                grain /= 2;
-            }
-            let count = self.levels_to_submit(batch, level, &counters, grain);
+            let submission = self.next_submission(batch, level, &counters);
+            let Submission { levels: count, rays: capacity, grain } = submission;
             let longest_visit = self.grain.unwrap_or(uniforms.max_bounces);
             let least_rays = uniforms.capacity / LEAST_PART;
-            self.gpu.write_uniforms(&Uniforms { grain, longest_visit, least_rays, ..uniforms });
+            self.gpu.write_uniforms(&Uniforms { capacity, grain, longest_visit, least_rays, ..uniforms });
             let (status, seconds) = self.submit_levels(level, count, film)?;
             let traced = status[Counter::Rays as usize].saturating_sub(counters[Counter::Rays as usize]);
-            self.learn_pace(count, grain, u64::from(traced), seconds);
+            self.learn_pace(&submission, u64::from(traced), seconds);
             level += count;
             counters = status;
             self.check_overflow(&counters)?;

@@ -342,6 +342,28 @@ fn a_small_pool_renders_what_a_large_one_does() {
     }
 }
 
+/// Visits that trace paths to their ends leave none for a queue: more are in flight than it holds. How long paths are is learnt
+/// while some lie in it.
+#[test]
+fn paths_traced_to_their_ends_need_no_pool() {
+    let scene = scene("furnace-closed-99");
+    let options =
+        RenderOptions { roulette: Some(Roulette::Off), direct_light: Some(false), ..small(64, 64, 5) };
+    let options = RenderOptions { max_bounces: Some(8), ..options };
+    let mega = render(&scene, Engine::Megakernel, &options, 16);
+    let fused = |pool, grain| {
+        let options = RenderOptions { pool: Some(pool), grain, ..options.clone() };
+        render(&scene, Engine::Wavefront(Schedule::Fused), &options, 16)
+    };
+    for (pool, grain) in [(4096, None), (4096, Some(8)), (300, None), (1 << 16, None)] {
+        let found = fused(pool, grain);
+        assert_eq!(differing_pixels(&found.film, &mega.film), 0, "{pool} {grain:?}");
+        assert_eq!(found.stats.rays, mega.stats.rays, "{pool} {grain:?}");
+    }
+    let whole = fused(4096, Some(8)).stats;
+    assert!(whole.iterations < 65_536 / 4096, "{whole:?}");
+}
+
 /// Levels of a path at once, or paths of an invocation: the same image, the same rays.
 #[test]
 fn the_grain_does_not_change_the_image() {
