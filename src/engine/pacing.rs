@@ -192,36 +192,43 @@ impl PathLengths {
     }
 }
 
-/// How many levels visits of the sorted schedule may have. They end with the material, mostly long before a path's last level;
-/// none may have more than is reckoned with, so that no submission takes longer, and the bound follows what is seen.
+/// How many levels visits of the sorted schedule have. They end with the material, mostly long before a path's last level.
 #[derive(Clone, Copy, Debug)]
-pub struct VisitBound {
-    levels: u32,
+pub struct VisitLengths {
+    /// Twice the mean of those seen, None before any was.
+    reckoned: Option<u32>,
 }
 
-/// The least bound, and that while nothing is known. Few visits come near it, but those that a shorter one ends come back to a list:
-/// with a bound of twice the mean whatever it be, 2 to 4 levels, `bansal-room-1` took 17.5 ms for 14.6 (docs/PERFORMANCE.md).
-const LEAST_VISIT: u32 = 16;
+/// While nothing is known.
+const FIRST_VISIT: u32 = 8;
+const LEAST_VISIT: u32 = 2;
 const MOST_VISIT: u32 = 64;
 
-impl VisitBound {
+impl VisitLengths {
     pub fn unknown() -> Self {
-        VisitBound { levels: LEAST_VISIT }
+        VisitLengths { reckoned: None }
     }
 
-    pub fn levels(&self) -> u32 {
-        self.levels
+    /// Levels to reckon with, where all visits of a submission are meant.
+    pub fn reckoned(&self) -> u32 {
+        self.reckoned.unwrap_or(FIRST_VISIT)
     }
 
-    /// Learns that `visits`, if the queues were full, traced `rays`: there is room for twice the mean. The bound falls by half at
-    /// most: a batch begins with fresh paths alone, whose visits have one level.
+    /// Levels that a visit may have. Cutting the long ones short costs a fifth (docs/PERFORMANCE.md), and says little of how long
+    /// a submission takes.
+    pub fn most(&self) -> u32 {
+        self.reckoned.map_or(FIRST_VISIT, |_| MOST_VISIT)
+    }
+
+    /// Learns that `visits`, if the queues were full, traced `rays`: there is room for twice the mean. What is reckoned with falls
+    /// by half at most: a batch begins with fresh paths alone, whose visits have one level.
     pub fn observe(&mut self, rays: u64, visits: u64) {
         if rays == 0 || 2 * rays < visits {
             return; // The queues were nearly empty.
         }
         let mean = (rays / visits.max(1)).clamp(1, u64::from(MOST_VISIT)) as u32;
         let fitting = (2 * mean).next_power_of_two().clamp(LEAST_VISIT, MOST_VISIT);
-        self.levels = fitting.max(self.levels / 2);
+        self.reckoned = Some(fitting.max(self.reckoned() / 2));
     }
 }
 
@@ -240,19 +247,22 @@ mod tests {
     }
 
     #[test]
-    fn visits_may_have_twice_the_levels_that_they_have() {
-        let mut bound = VisitBound::unknown();
-        assert_eq!(bound.levels(), 16);
+    fn visits_are_reckoned_to_have_twice_the_levels_that_they_have() {
+        let mut lengths = VisitLengths::unknown();
+        assert_eq!([lengths.reckoned(), lengths.most()], [8, 8]);
         let mut after = |rays: u64, visits: u64| {
-            bound.observe(rays, visits);
-            bound.levels()
+            lengths.observe(rays, visits);
+            lengths.reckoned()
         };
+        assert_eq!(after(300, 1000), 8, "nearly empty");
         assert_eq!([after(5000, 1000), after(10_000, 1000), after(40_000, 1000)], [16, 32, 64]);
         assert_eq!(after(64_000, 1000), 64, "no path has more");
         assert_eq!(after(1000, 1000), 32, "fresh paths alone: half");
         assert_eq!([after(300, 1000), after(0, 0), after(0, 1000)], [32; 3], "nearly empty");
-        assert_eq!([after(1000, 1000), after(900, 1000), after(1000, 1000)], [16; 3], "never less");
+        assert_eq!([after(1000, 1000), after(900, 1000), after(1000, 1000)], [16, 8, 4]);
+        assert_eq!([after(1000, 1000), after(1000, 1000)], [2, 2]);
         assert_eq!(after(u64::MAX / 4, 1), 64);
+        assert_eq!(lengths.most(), 64);
     }
 
     #[test]

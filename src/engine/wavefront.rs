@@ -3,7 +3,7 @@
 
 use super::auto::preferred_schedule;
 use super::gpu_film::{GpuFilm, Keys};
-use super::pacing::{Pacer, PathLengths, Progress, UNKNOWN_LEVELS, VisitBound};
+use super::pacing::{Pacer, PathLengths, Progress, UNKNOWN_LEVELS, VisitLengths};
 use super::tracer::Tracer;
 use super::workload::Workload;
 use super::{Batch, CancelToken, EngineKind, RenderError, RenderOptions};
@@ -41,7 +41,7 @@ pub struct WavefrontEngine {
     /// Levels of a path that a visit traces, if the caller decides.
     grain: Option<u32>,
     /// Of the sorted schedule.
-    visits: VisitBound,
+    visits: VisitLengths,
     /// Levels that the last batch needed, 0 before the first: how many to record at first.
     expected_levels: u32,
 }
@@ -72,8 +72,8 @@ impl WavefrontEngine {
         let gpu = GpuFilm::new(gpu, scene, uniforms, keys, stages, schedule, "wavefront")?;
         let lengths = keys.lengths(uniforms.max_bounces);
         let workload = Workload::new(scene, &keys.own, uniforms.max_bounces, &gpu.gpu.summary);
-        let visits = VisitBound::unknown();
-        let first = workload.first_rays(levels_a_visit(schedule, options.grain, &lengths, visits));
+        let visits = VisitLengths::unknown();
+        let first = workload.first_rays(levels_a_visit(schedule, options.grain, &lengths, visits).1);
         Ok(WavefrontEngine {
             gpu,
             schedule,
@@ -186,10 +186,14 @@ impl WavefrontEngine {
     /// What to submit after `level` levels, which left these counters.
     fn next_submission(&self, batch: &Batch, level: u32, counters: &[u32]) -> Submission {
         let pool = self.gpu.uniforms.capacity;
-        let mut grain = levels_a_visit(self.schedule, self.grain, &self.lengths, self.visits);
+        let (mut grain, mut reckoned) = levels_a_visit(self.schedule, self.grain, &self.lengths, self.visits);
         // A level is submitted whole, so it is the levels of a visit that must not be too many.
-        while self.grain.is_none() && grain > 1 && u64::from(pool) * u64::from(grain) > self.pacer.amount() {
-            grain /= 2;
+        while self.grain.is_none()
+            && reckoned > 1
+            && u64::from(pool) * u64::from(reckoned) > self.pacer.amount()
+        {
+            reckoned /= 2;
+            grain = reckoned;
         }
         let survivors = counters[Counter::Survivors as usize];
         let rays = if self.leaves_none(grain) && survivors == 0 {
@@ -198,7 +202,7 @@ impl WavefrontEngine {
         } else {
             pool
         };
-        let fitting = self.pacer.amount() / (u64::from(rays) * u64::from(grain));
+        let fitting = self.pacer.amount() / (u64::from(rays) * u64::from(reckoned));
         let left = self.levels_left(batch, level, counters, grain).min(self.most_levels(batch));
         Submission { levels: left.min(fitting.clamp(1, u64::from(u32::MAX)) as u32), rays, grain }
     }
@@ -274,12 +278,18 @@ impl WavefrontEngine {
     }
 }
 
-/// Levels of a path that a kernel traces at once, at most: `grain`, if the caller decides.
-fn levels_a_visit(schedule: Schedule, grain: Option<u32>, lengths: &PathLengths, visits: VisitBound) -> u32 {
+/// Levels of a path that a kernel traces at once: at most, and how many to reckon with. `grain`, if the caller decides.
+fn levels_a_visit(
+    schedule: Schedule,
+    grain: Option<u32>,
+    lengths: &PathLengths,
+    visits: VisitLengths,
+) -> (u32, u32) {
+    let both = |levels: u32| (levels, levels);
     match schedule {
-        Schedule::Fused => grain.unwrap_or_else(|| lengths.levels_at_once()),
-        Schedule::Sorted => grain.unwrap_or(visits.levels()),
-        Schedule::Streamed | Schedule::Compacted => 1,
+        Schedule::Fused => both(grain.unwrap_or_else(|| lengths.levels_at_once())),
+        Schedule::Sorted => grain.map_or((visits.most(), visits.reckoned()), both),
+        Schedule::Streamed | Schedule::Compacted => both(1),
     }
 }
 
