@@ -198,7 +198,9 @@ fn preparing_a_level_covers_every_list() {
         let needed = |items: u32, share: u32| u64::from(items.div_ceil(share));
         // The first list has the kernel of its own, whose invocations take several items where it is long.
         let each = (pushed[0] / (WORKGROUP * 1024)).clamp(1, ITEMS);
-        let own = needed(pushed[0], WORKGROUP * each);
+        // An eighth of it is shared out one by one.
+        let early = (pushed[0] - pushed[0] / 8) / (WORKGROUP * each);
+        let own = u64::from(early) + needed(pushed[0] - early * WORKGROUP * each, WORKGROUP);
         let others: u64 = pushed[1..].iter().chain([&fresh]).map(|&n| needed(n, WORKGROUP)).sum();
         for (slot, needed) in [(Argument::FirstHit as usize, own), (Argument::Intersect as usize, others)] {
             let groups = groups(slot)?;
