@@ -141,7 +141,7 @@ struct EngineArgs {
     #[arg(long, value_enum)]
     schedule: Option<ScheduleArg>,
 
-    /// Rays that the wavefront engine keeps in flight [default: what suits the GPU]
+    /// Rays that the queues of the wavefront engine hold [default: what suits the GPU]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(256..=1 << 26), allow_negative_numbers = true)]
     pool: Option<u32>,
 

@@ -44,10 +44,13 @@ const SOFTWARE_TURNS: u32 = 60_000;
 
 impl MegakernelEngine {
     /// Paths per invocation that the adapter can trace: on software few, so that its loops are not cut short. A walk through
-    /// the hierarchy may take two turns a shape.
+    /// the hierarchy may take two turns a shape; among triangles that bound leaves no room for a second path.
     fn most_grain(&self, max_bounces: u32) -> u32 {
         if !self.gpu.gpu.summary.software {
             return u32::MAX;
+        }
+        if self.gpu.key.triangles {
+            return 1;
         }
         let shapes = u64::from(self.gpu.uniforms.sphere_count) + u64::from(self.gpu.uniforms.quad_count);
         let turns_a_level = 1 + shapes * if self.gpu.key.bvh.is_some() { 4 } else { 2 };

@@ -105,7 +105,7 @@ pub struct RenderOptions {
     /// How the wavefront engine runs a level; `None` is the one that measured fastest for such scenes
     /// ([`preferred_schedule`](super::preferred_schedule)).
     pub schedule: Option<Schedule>,
-    /// Rays that the wavefront engine keeps in flight; `None` suits the GPU.
+    /// Rays that the queues of the wavefront engine hold; `None` suits the GPU.
     pub pool: Option<u32>,
     /// Levels of a path that the fused schedule traces at once, or paths that an invocation of the megakernel traces, 1 to
     /// 64; `None` follows the lengths of paths. The image does not depend on it.

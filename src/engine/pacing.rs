@@ -126,15 +126,15 @@ pub struct Shares {
     pub late_grain: u32,
 }
 
-/// The late part of a dispatch, in paths for each early one of an invocation: enough that what is left of the early part when
-/// it begins is done before it.
-const LATE_INVOCATIONS: u32 = 1 << 15;
-/// How many times fewer paths an invocation of the late part traces.
+/// Paths of the last workgroups together, for each path that an invocation of the others traces: enough that whatever early
+/// workgroups are at work when they begin is done before they are.
+const LATE_PATHS: u32 = 1 << 15;
+/// How many times fewer paths an invocation of the last workgroups traces, but one at least.
 const LATE_SHARE: u32 = 4;
 
 impl Shares {
     pub fn new(count: u32, grain: u32) -> Shares {
-        let late = (grain * LATE_INVOCATIONS).min(count / 2);
+        let late = (grain * LATE_PATHS).min(count / 2);
         let early_groups = (count - late) / (MEGAKERNEL_WORKGROUP * grain);
         Shares { grain, early_groups, late_grain: (grain / LATE_SHARE).max(1) }
     }
@@ -195,8 +195,8 @@ impl PathLengths {
 /// How many levels visits of the sorted schedule have. They end with the material, mostly long before a path's last level.
 #[derive(Clone, Copy, Debug)]
 pub struct VisitLengths {
-    /// Twice the mean of those seen, None before any was.
-    reckoned: Option<u32>,
+    reckoned: u32,
+    most: u32,
 }
 
 /// While nothing is known.
@@ -206,29 +206,29 @@ const MOST_VISIT: u32 = 64;
 
 impl VisitLengths {
     pub fn unknown() -> Self {
-        VisitLengths { reckoned: None }
+        VisitLengths { reckoned: FIRST_VISIT, most: FIRST_VISIT }
     }
 
-    /// Levels to reckon with, where all visits of a submission are meant.
+    /// Levels to reckon with for all visits of a submission: twice the mean of those seen.
     pub fn reckoned(&self) -> u32 {
-        self.reckoned.unwrap_or(FIRST_VISIT)
+        self.reckoned
     }
 
-    /// Levels that a visit may have. Cutting the long ones short costs a fifth (docs/PERFORMANCE.md), and says little of how long
-    /// a submission takes.
+    /// Levels that a visit may have. It doubles with what is seen of shorter ones, whose mean doubles at most then: no submission
+    /// takes longer than reckoned. To cut long visits short for good costs a fifth (docs/PERFORMANCE.md).
     pub fn most(&self) -> u32 {
-        self.reckoned.map_or(FIRST_VISIT, |_| MOST_VISIT)
+        self.most
     }
 
-    /// Learns that `visits`, if the queues were full, traced `rays`: there is room for twice the mean. What is reckoned with falls
-    /// by half at most: a batch begins with fresh paths alone, whose visits have one level.
+    /// Learns that `visits`, if the queues were full, traced `rays`. What is reckoned with falls by half at most.
     pub fn observe(&mut self, rays: u64, visits: u64) {
         if rays == 0 || 2 * rays < visits {
             return; // The queues were nearly empty.
         }
-        let mean = (rays / visits.max(1)).clamp(1, u64::from(MOST_VISIT)) as u32;
-        let fitting = (2 * mean).next_power_of_two().clamp(LEAST_VISIT, MOST_VISIT);
-        self.reckoned = Some(fitting.max(self.reckoned() / 2));
+        let mean = rays as f64 / visits.max(1) as f64;
+        let fitting = ((2.0 * mean).ceil() as u32).clamp(LEAST_VISIT, MOST_VISIT);
+        self.reckoned = fitting.max(self.reckoned / 2);
+        self.most = (2 * self.most).min(MOST_VISIT);
     }
 }
 
@@ -249,20 +249,16 @@ mod tests {
     #[test]
     fn visits_are_reckoned_to_have_twice_the_levels_that_they_have() {
         let mut lengths = VisitLengths::unknown();
-        assert_eq!([lengths.reckoned(), lengths.most()], [8, 8]);
         let mut after = |rays: u64, visits: u64| {
             lengths.observe(rays, visits);
-            lengths.reckoned()
+            [lengths.reckoned(), lengths.most()]
         };
-        assert_eq!(after(300, 1000), 8, "nearly empty");
-        assert_eq!([after(5000, 1000), after(10_000, 1000), after(40_000, 1000)], [16, 32, 64]);
-        assert_eq!(after(64_000, 1000), 64, "no path has more");
-        assert_eq!(after(1000, 1000), 32, "fresh paths alone: half");
-        assert_eq!([after(300, 1000), after(0, 0), after(0, 1000)], [32; 3], "nearly empty");
-        assert_eq!([after(1000, 1000), after(900, 1000), after(1000, 1000)], [16, 8, 4]);
-        assert_eq!([after(1000, 1000), after(1000, 1000)], [2, 2]);
-        assert_eq!(after(u64::MAX / 4, 1), 64);
-        assert_eq!(lengths.most(), 64);
+        assert_eq!([after(300, 1000), after(0, 0), after(0, 1000)], [[8, 8]; 3], "nearly empty");
+        assert_eq!([after(1300, 1000), after(1000, 1000)], [[4, 16], [2, 32]], "they may double, no more");
+        assert_eq!([after(5000, 1000), after(10_000, 1000)], [[10, 64], [20, 64]]);
+        assert_eq!([after(40_000, 1000), after(64_000, 1000)], [[64, 64]; 2], "no path has more");
+        assert_eq!([after(1000, 1000), after(900, 1000)], [[32, 64], [16, 64]], "half at most");
+        assert_eq!(after(u64::MAX / 4, 1), [64, 64]);
     }
 
     #[test]

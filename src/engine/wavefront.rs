@@ -17,7 +17,7 @@ use crate::scene::compiled::{CompiledScene, Uniforms};
 use crate::transport::items::{HitItem, RayItem, ShadowItem};
 use wgpu::BufferUsages;
 
-/// Rays in flight by kind of adapter, where --pool does not say. Each takes 96 bytes of queues, in the sorted schedule 24 more
+/// Rays that queues hold by kind of adapter, where --pool does not say. Each takes 96 bytes of queues, in the sorted schedule 24 more
 /// for each material of the scene.
 const POOL: u32 = 1 << 22;
 const POOL_INTEGRATED: u32 = 1 << 20;
@@ -46,11 +46,15 @@ pub struct WavefrontEngine {
     expected_levels: u32,
 }
 
-/// What is submitted at once: levels, how many rays are in flight in each at most, and how many levels of its path a visit to one
-/// of them traces.
+/// Levels of a path that a visit may have on software, where rays walk through a hierarchy.
+const SOFTWARE_WALKS: u32 = 8;
+
+/// What is submitted at once.
 struct Submission {
     levels: u32,
+    /// Rays that are in flight in each, at most.
     rays: u32,
+    /// Levels of its path that a visit to a ray traces: of `step` at least, of `follow_*` at most.
     grain: u32,
 }
 
@@ -185,26 +189,37 @@ impl WavefrontEngine {
 
     /// What to submit after `level` levels, which left these counters.
     fn next_submission(&self, batch: &Batch, level: u32, counters: &[u32]) -> Submission {
+        let amount = self.pacer.amount();
         let pool = self.gpu.uniforms.capacity;
-        let (mut grain, mut reckoned) = levels_a_visit(self.schedule, self.grain, &self.lengths, self.visits);
+        let (mut grain, mut reckoned) = self.levels_a_visit();
         // A level is submitted whole, so it is the levels of a visit that must not be too many.
-        while self.grain.is_none()
-            && reckoned > 1
-            && u64::from(pool) * u64::from(reckoned) > self.pacer.amount()
-        {
+        while self.grain.is_none() && reckoned > 1 && u64::from(pool) * u64::from(reckoned) > amount {
             reckoned /= 2;
-            grain = reckoned;
+            grain = grain.min(if self.schedule == Schedule::Sorted { 2 * reckoned } else { reckoned });
         }
-        let survivors = counters[Counter::Survivors as usize];
-        let rays = if self.leaves_none(grain) && survivors == 0 {
-            let fitting = self.pacer.amount() / u64::from(grain);
-            pool.max(batch.paths().min(fitting.min(u64::from(u32::MAX)) as u32))
-        } else {
-            pool
-        };
-        let fitting = self.pacer.amount() / (u64::from(rays) * u64::from(reckoned));
-        let left = self.levels_left(batch, level, counters, grain).min(self.most_levels(batch));
-        Submission { levels: left.min(fitting.clamp(1, u64::from(u32::MAX)) as u32), rays, grain }
+        let (mut rays, mut left) = (pool, self.levels_left(batch, level, counters, reckoned));
+        if self.leaves_none(grain) && counters[Counter::Survivors as usize] == 0 {
+            let waiting = batch.paths() - counters[Counter::NextPath as usize];
+            rays = pool.max((amount / u64::from(grain)).min(u64::from(waiting)) as u32);
+            left = waiting.div_ceil(rays);
+        }
+        let in_time = amount / (u64::from(rays) * u64::from(reckoned));
+        let levels = u64::from(left.min(self.most_levels(batch))).min(in_time).max(1);
+        Submission { levels: levels as u32, rays, grain }
+    }
+
+    /// Levels of a path that a visit traces: `grain`, if the caller decides, and how many to reckon with.
+    fn levels_a_visit(&self) -> (u32, u32) {
+        let (grain, reckoned) = levels_a_visit(self.schedule, self.grain, &self.lengths, self.visits);
+        let most = self.most_levels_a_visit();
+        (grain.min(most), reckoned.min(most))
+    }
+
+    /// Levels of a path that the adapter can trace in a row. On software loops end early, and walks through a hierarchy have many
+    /// turns: so many levels were never cut short.
+    fn most_levels_a_visit(&self) -> u32 {
+        let walks = self.gpu.gpu.summary.software && self.gpu.key.bvh.is_some();
+        self.gpu.uniforms.max_bounces.min(if walks { SOFTWARE_WALKS } else { u32::MAX })
     }
 
     /// Whether visits of so many levels trace paths to their ends. None comes back to a queue then, so there may be more at once
@@ -214,7 +229,8 @@ impl WavefrontEngine {
     }
 
     /// Levels that are left after `level` of them: as many as the last batch needed, or by what is seen of this one.
-    fn levels_left(&self, batch: &Batch, level: u32, counters: &[u32], grain: u32) -> u32 {
+    fn levels_left(&self, batch: &Batch, level: u32, counters: &[u32], reckoned: u32) -> u32 {
+        let visit = if self.schedule == Schedule::Sorted { (reckoned / 2).max(1) } else { reckoned };
         match self.expected_levels.saturating_sub(level) {
             0 if level == 0 => UNKNOWN_LEVELS,
             0 => {
@@ -224,7 +240,7 @@ impl WavefrontEngine {
                     paths: batch.paths(),
                     started: counter(Counter::NextPath),
                     flying: counter(Counter::Survivors),
-                    visits: counter(Counter::Rays) / grain,
+                    visits: counter(Counter::Rays) / visit,
                 };
                 progress.levels_left()
             }
@@ -256,13 +272,17 @@ impl WavefrontEngine {
         let (amount, least) = match self.schedule {
             // Most visits end before their last level: what was traced took that long.
             Schedule::Sorted => (traced, visits),
+            _ if self.leaves_none(submission.grain) => (full, visits),
             _ => (full, full),
         };
         // Levels that were nearly empty say nothing of full ones, unless even they took too long.
         if 2 * traced >= least || seconds > Pacer::TARGET {
             self.pacer.observe(amount, seconds);
         }
-        self.visits.observe(traced, visits);
+        // A batch begins with fresh paths alone, whose visits end with their camera rays.
+        if submission.levels > 1 {
+            self.visits.observe(traced, visits);
+        }
     }
 
     /// A queue that ran over is an error, never a darker image.
@@ -278,7 +298,7 @@ impl WavefrontEngine {
     }
 }
 
-/// Levels of a path that a kernel traces at once: at most, and how many to reckon with. `grain`, if the caller decides.
+/// The same for any adapter.
 fn levels_a_visit(
     schedule: Schedule,
     grain: Option<u32>,
@@ -352,10 +372,16 @@ impl Tracer for WavefrontEngine {
                 return Ok(false);
             }
             let submission = self.next_submission(batch, level, &counters);
-            let Submission { levels: count, rays: capacity, grain } = submission;
-            let longest_visit = self.grain.unwrap_or(uniforms.max_bounces);
+            let Submission { levels: count, rays, grain } = submission;
+            let longest_visit = if self.grain.is_some() { grain } else { self.most_levels_a_visit() };
             let least_rays = uniforms.capacity / LEAST_PART;
-            self.gpu.write_uniforms(&Uniforms { capacity, grain, longest_visit, least_rays, ..uniforms });
+            self.gpu.write_uniforms(&Uniforms {
+                capacity: rays,
+                grain,
+                longest_visit,
+                least_rays,
+                ..uniforms
+            });
             let (status, seconds) = self.submit_levels(level, count, film)?;
             let traced = status[Counter::Rays as usize].saturating_sub(counters[Counter::Rays as usize]);
             self.learn_pace(&submission, u64::from(traced), seconds);

@@ -61,7 +61,8 @@ gpu_struct! {
         quad_count: u32,
         triangle_count: u32,
         light_count: u32,
-        /// How much an invocation does before it passes on: levels of its path in `step`, paths in `megakernel`.
+        /// How much an invocation does before it passes on: levels of its path in `step` (more where few rays are left) and, at
+        /// most, in `follow_*`; paths in `megakernel`.
         grain: u32,
         /// The megakernel's last workgroups, from this one on, trace fewer paths: `late_grain` for each invocation.
         early_groups: u32,
