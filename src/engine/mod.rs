@@ -17,6 +17,7 @@ mod renderer;
 mod show;
 mod stats;
 mod strategy;
+mod submissions;
 mod tracer;
 mod wavefront;
 mod workload;

@@ -214,21 +214,22 @@ impl VisitLengths {
         self.reckoned
     }
 
-    /// Levels that a visit may have. It doubles with what is seen of shorter ones, whose mean doubles at most then: no submission
+    /// Levels that a visit may have: twice what those had that were seen, whose mean doubles at most then, so that no submission
     /// takes longer than reckoned. To cut long visits short for good costs a fifth (docs/PERFORMANCE.md).
     pub fn most(&self) -> u32 {
         self.most
     }
 
-    /// Learns that `visits`, if the queues were full, traced `rays`. What is reckoned with falls by half at most.
-    pub fn observe(&mut self, rays: u64, visits: u64) {
+    /// Learns that `visits` of `grain` levels at most, if the queues were full, traced `rays`. What is reckoned with falls by half
+    /// at most.
+    pub fn observe(&mut self, rays: u64, visits: u64, grain: u32) {
         if rays == 0 || 2 * rays < visits {
             return; // The queues were nearly empty.
         }
         let mean = rays as f64 / visits.max(1) as f64;
         let fitting = ((2.0 * mean).ceil() as u32).clamp(LEAST_VISIT, MOST_VISIT);
         self.reckoned = fitting.max(self.reckoned / 2);
-        self.most = (2 * self.most).min(MOST_VISIT);
+        self.most = self.most.max(2 * grain).min(MOST_VISIT);
     }
 }
 
@@ -249,16 +250,16 @@ mod tests {
     #[test]
     fn visits_are_reckoned_to_have_twice_the_levels_that_they_have() {
         let mut lengths = VisitLengths::unknown();
-        let mut after = |rays: u64, visits: u64| {
-            lengths.observe(rays, visits);
+        let mut after = |rays: u64, visits: u64, grain: u32| {
+            lengths.observe(rays, visits, grain);
             [lengths.reckoned(), lengths.most()]
         };
-        assert_eq!([after(300, 1000), after(0, 0), after(0, 1000)], [[8, 8]; 3], "nearly empty");
-        assert_eq!([after(1300, 1000), after(1000, 1000)], [[4, 16], [2, 32]], "they may double, no more");
-        assert_eq!([after(5000, 1000), after(10_000, 1000)], [[10, 64], [20, 64]]);
-        assert_eq!([after(40_000, 1000), after(64_000, 1000)], [[64, 64]; 2], "no path has more");
-        assert_eq!([after(1000, 1000), after(900, 1000)], [[32, 64], [16, 64]], "half at most");
-        assert_eq!(after(u64::MAX / 4, 1), [64, 64]);
+        assert_eq!([after(300, 1000, 8), after(0, 0, 8), after(0, 1000, 8)], [[8, 8]; 3], "nearly empty");
+        assert_eq!([after(1300, 1000, 8), after(1000, 1000, 8)], [[4, 16], [2, 16]], "as seen of 8");
+        assert_eq!([after(5000, 1000, 16), after(10_000, 1000, 2)], [[10, 32], [20, 32]]);
+        assert_eq!([after(40_000, 1000, 32), after(64_000, 1000, 64)], [[64, 64]; 2], "no path has more");
+        assert_eq!([after(1000, 1000, 8), after(900, 1000, 8)], [[32, 64], [16, 64]], "half at most");
+        assert_eq!(after(u64::MAX / 4, 1, 64), [64, 64]);
     }
 
     #[test]

@@ -3,7 +3,7 @@
 
 use super::auto::preferred_schedule;
 use super::gpu_film::{GpuFilm, Keys};
-use super::pacing::{Pacer, PathLengths, Progress, UNKNOWN_LEVELS, VisitLengths};
+use super::submissions::{Seen, Submission, Submissions, Work};
 use super::tracer::Tracer;
 use super::workload::Workload;
 use super::{Batch, CancelToken, EngineKind, RenderError, RenderOptions};
@@ -35,28 +35,12 @@ pub struct WavefrontEngine {
     /// Bind groups of each stage of a level when it reads the first ray queue, and when it reads the second.
     binds: Vec<[wgpu::BindGroup; 2]>,
     pool: u32,
-    /// In places of a queue, times levels of a path.
-    pacer: Pacer,
-    lengths: PathLengths,
-    /// Levels of a path that a visit traces, if the caller decides.
-    grain: Option<u32>,
-    /// Of the sorted schedule.
-    visits: VisitLengths,
-    /// Levels that the last batch needed, 0 before the first: how many to record at first.
-    expected_levels: u32,
+    submissions: Submissions,
 }
 
-/// Levels of a path that a visit may have on software, where rays walk through a hierarchy.
+/// Levels of a path that a visit may have on software, where rays walk through a hierarchy: llvmpipe ends loops early, and those of
+/// walks have many turns. One level has not been cut short by any scene here, eight have by none of those shipped.
 const SOFTWARE_WALKS: u32 = 8;
-
-/// What is submitted at once.
-struct Submission {
-    levels: u32,
-    /// Rays that are in flight in each, at most.
-    rays: u32,
-    /// Levels of its path that a visit to a ray traces: of `step` at least, of `follow_*` at most.
-    grain: u32,
-}
 
 impl WavefrontEngine {
     pub fn new(
@@ -76,20 +60,11 @@ impl WavefrontEngine {
         let gpu = GpuFilm::new(gpu, scene, uniforms, keys, stages, schedule, "wavefront")?;
         let lengths = keys.lengths(uniforms.max_bounces);
         let workload = Workload::new(scene, &keys.own, uniforms.max_bounces, &gpu.gpu.summary);
-        let visits = VisitLengths::unknown();
-        let first = workload.first_rays(levels_a_visit(schedule, options.grain, &lengths, visits).1);
-        Ok(WavefrontEngine {
-            gpu,
-            schedule,
-            level: Vec::new(),
-            binds: Vec::new(),
-            pool,
-            pacer: Pacer::new(first),
-            lengths,
-            grain: options.grain,
-            visits,
-            expected_levels: 0,
-        })
+        let walks = gpu.gpu.summary.software && keys.own.bvh.is_some();
+        let most_in_a_row = if walks { SOFTWARE_WALKS } else { uniforms.max_bounces };
+        let first_rays = |levels| workload.first_rays(levels);
+        let submissions = Submissions::new(schedule, options.grain, most_in_a_row, lengths, first_rays);
+        Ok(WavefrontEngine { gpu, schedule, level: Vec::new(), binds: Vec::new(), pool, submissions })
     }
 
     /// Bytes of a ray or a shadow ray. Where something is learnt, they have a fourth row: what their path remembers.
@@ -177,74 +152,12 @@ impl WavefrontEngine {
             .collect();
     }
 
-    /// Levels after which any batch is done: the pool is filled again at the latest when all its paths are at their end. It
-    /// holds as many paths as it has room for all their copies.
-    fn most_levels(&self, batch: &Batch) -> u32 {
-        let paths = self.gpu.uniforms.capacity / self.gpu.key.places;
-        let fillings = batch.paths().div_ceil(paths) + 1;
-        // Copies wait a level at each split on their way, which at least halves the places that they own.
-        let waits = self.gpu.key.places.next_power_of_two().ilog2();
-        fillings * (self.gpu.uniforms.max_bounces + waits + 1) + 4
-    }
-
-    /// What to submit after `level` levels, which left these counters.
-    fn next_submission(&self, batch: &Batch, level: u32, counters: &[u32]) -> Submission {
-        let amount = self.pacer.amount();
-        let pool = self.gpu.uniforms.capacity;
-        let (mut grain, mut reckoned) = self.levels_a_visit();
-        // A level is submitted whole, so it is the levels of a visit that must not be too many.
-        while self.grain.is_none() && reckoned > 1 && u64::from(pool) * u64::from(reckoned) > amount {
-            reckoned /= 2;
-            grain = grain.min(if self.schedule == Schedule::Sorted { 2 * reckoned } else { reckoned });
-        }
-        let (mut rays, mut left) = (pool, self.levels_left(batch, level, counters, reckoned));
-        if self.leaves_none(grain) && counters[Counter::Survivors as usize] == 0 {
-            let waiting = batch.paths() - counters[Counter::NextPath as usize];
-            rays = pool.max((amount / u64::from(grain)).min(u64::from(waiting)) as u32);
-            left = waiting.div_ceil(rays);
-        }
-        let in_time = amount / (u64::from(rays) * u64::from(reckoned));
-        let levels = u64::from(left.min(self.most_levels(batch))).min(in_time).max(1);
-        Submission { levels: levels as u32, rays, grain }
-    }
-
-    /// Levels of a path that a visit traces: `grain`, if the caller decides, and how many to reckon with.
-    fn levels_a_visit(&self) -> (u32, u32) {
-        let (grain, reckoned) = levels_a_visit(self.schedule, self.grain, &self.lengths, self.visits);
-        let most = self.most_levels_a_visit();
-        (grain.min(most), reckoned.min(most))
-    }
-
-    /// Levels of a path that the adapter can trace in a row. On software loops end early, and walks through a hierarchy have many
-    /// turns: so many levels were never cut short.
-    fn most_levels_a_visit(&self) -> u32 {
-        let walks = self.gpu.gpu.summary.software && self.gpu.key.bvh.is_some();
-        self.gpu.uniforms.max_bounces.min(if walks { SOFTWARE_WALKS } else { u32::MAX })
-    }
-
-    /// Whether visits of so many levels trace paths to their ends. None comes back to a queue then, so there may be more at once
-    /// than a queue holds.
-    fn leaves_none(&self, grain: u32) -> bool {
-        self.schedule == Schedule::Fused && self.gpu.key.places == 1 && grain >= self.gpu.uniforms.max_bounces
-    }
-
-    /// Levels that are left after `level` of them: as many as the last batch needed, or by what is seen of this one.
-    fn levels_left(&self, batch: &Batch, level: u32, counters: &[u32], reckoned: u32) -> u32 {
-        let visit = if self.schedule == Schedule::Sorted { (reckoned / 2).max(1) } else { reckoned };
-        match self.expected_levels.saturating_sub(level) {
-            0 if level == 0 => UNKNOWN_LEVELS,
-            0 => {
-                let counter = |c: Counter| counters[c as usize];
-                let progress = Progress {
-                    levels: level,
-                    paths: batch.paths(),
-                    started: counter(Counter::NextPath),
-                    flying: counter(Counter::Survivors),
-                    visits: counter(Counter::Rays) / visit,
-                };
-                progress.levels_left()
-            }
-            expected => expected,
+    fn work(&self, batch: &Batch) -> Work {
+        Work {
+            paths: batch.paths(),
+            pool: self.gpu.uniforms.capacity,
+            places: self.gpu.key.places,
+            max_bounces: self.gpu.uniforms.max_bounces,
         }
     }
 
@@ -265,26 +178,6 @@ impl WavefrontEngine {
         self.gpu.land(flight, bytemuck::pod_collect_to_vec)
     }
 
-    /// Learns how long a submission took, in which so many rays were traced.
-    fn learn_pace(&mut self, submission: &Submission, traced: u64, seconds: f64) {
-        let visits = u64::from(submission.levels) * u64::from(submission.rays);
-        let full = visits * u64::from(submission.grain);
-        let (amount, least) = match self.schedule {
-            // Most visits end before their last level: what was traced took that long.
-            Schedule::Sorted => (traced, visits),
-            _ if self.leaves_none(submission.grain) => (full, visits),
-            _ => (full, full),
-        };
-        // Levels that were nearly empty say nothing of full ones, unless even they took too long.
-        if 2 * traced >= least || seconds > Pacer::TARGET {
-            self.pacer.observe(amount, seconds);
-        }
-        // A batch begins with fresh paths alone, whose visits end with their camera rays.
-        if submission.levels > 1 {
-            self.visits.observe(traced, visits);
-        }
-    }
-
     /// A queue that ran over is an error, never a darker image.
     fn check_overflow(&self, counters: &[u32]) -> Result<(), RenderError> {
         let overflow = counters[Counter::Overflow as usize];
@@ -295,21 +188,6 @@ impl WavefrontEngine {
         let over = |i: &usize| overflow >> i & 1 == 1;
         let queues: Vec<&str> = (0..names.len()).filter(over).map(|i| names[i].as_str()).collect();
         Err(GpuError::QueueOverflow { queues: queues.join(", ") }.into())
-    }
-}
-
-/// The same for any adapter.
-fn levels_a_visit(
-    schedule: Schedule,
-    grain: Option<u32>,
-    lengths: &PathLengths,
-    visits: VisitLengths,
-) -> (u32, u32) {
-    let both = |levels: u32| (levels, levels);
-    match schedule {
-        Schedule::Fused => both(grain.unwrap_or_else(|| lengths.levels_at_once())),
-        Schedule::Sorted => grain.map_or((visits.most(), visits.reckoned()), both),
-        Schedule::Streamed | Schedule::Compacted => both(1),
     }
 }
 
@@ -366,15 +244,15 @@ impl Tracer for WavefrontEngine {
         let uniforms = self.gpu.batch_uniforms(batch);
         let mut counters = vec![0u32; counter_words(&self.gpu.key) as usize];
         self.gpu.gpu.queue.write_buffer(self.gpu.buffers.get("counters"), 0, bytemuck::cast_slice(&counters));
-        let mut level = 0;
+        let (work, mut seen) = (self.work(batch), Seen::default());
         loop {
             if cancel.is_cancelled() {
                 return Ok(false);
             }
-            let submission = self.next_submission(batch, level, &counters);
+            let submission = self.submissions.next(&work, &seen);
             let Submission { levels: count, rays, grain } = submission;
-            let longest_visit = if self.grain.is_some() { grain } else { self.most_levels_a_visit() };
-            let least_rays = uniforms.capacity / LEAST_PART;
+            let longest_visit = self.submissions.longest_visit(&work);
+            let least_rays = work.pool / LEAST_PART;
             self.gpu.write_uniforms(&Uniforms {
                 capacity: rays,
                 grain,
@@ -382,29 +260,30 @@ impl Tracer for WavefrontEngine {
                 least_rays,
                 ..uniforms
             });
-            let (status, seconds) = self.submit_levels(level, count, film)?;
-            let traced = status[Counter::Rays as usize].saturating_sub(counters[Counter::Rays as usize]);
-            self.learn_pace(&submission, u64::from(traced), seconds);
-            level += count;
+            let (status, seconds) = self.submit_levels(seen.levels, count, film)?;
             counters = status;
             self.check_overflow(&counters)?;
             let counter = |c: Counter| counters[c as usize];
-            let flying =
-                counter(Counter::Survivors) + counter(Counter::Shadows) + counter(Counter::Transitions);
-            // At least so many: where paths split, several survivors may be of one.
-            let ended = counter(Counter::NextPath).saturating_sub(counter(Counter::Survivors));
-            self.lengths.observe(u64::from(counter(Counter::Rays)), u64::from(ended));
-            if flying == 0 && counter(Counter::NextPath) == batch.paths() {
+            let now = Seen {
+                levels: seen.levels + count,
+                started: counter(Counter::NextPath),
+                flying: counter(Counter::Survivors),
+                rays: counter(Counter::Rays),
+            };
+            self.submissions.learn(&work, &submission, &seen, &now, seconds);
+            seen = now;
+            let flying = seen.flying + counter(Counter::Shadows) + counter(Counter::Transitions);
+            if flying == 0 && seen.started == work.paths {
                 break;
             }
-            if level > self.most_levels(batch) {
-                return Err(GpuError::NoProgress { levels: level, flying }.into());
+            if seen.levels > work.most_levels() {
+                return Err(GpuError::NoProgress { levels: seen.levels, flying }.into());
             }
         }
         // Not those that were recorded: some had nothing to do.
-        self.expected_levels = counters[Counter::Levels as usize];
-        self.gpu.stats.iterations += u64::from(level);
-        self.gpu.stats.rays += u64::from(counters[Counter::Rays as usize]);
+        self.submissions.end_batch(counters[Counter::Levels as usize]);
+        self.gpu.stats.iterations += u64::from(seen.levels);
+        self.gpu.stats.rays += u64::from(seen.rays);
         Ok(true)
     }
 }
