@@ -212,7 +212,7 @@ mod tests {
         /// Submissions of each of three batches, and the longest of all but the first batch.
         fn render(&self, submissions: &mut Submissions, work: &Work) -> ([u32; 3], f64) {
             let (mut counts, mut longest) = ([0; 3], 0.0);
-            for batch in 0..3 {
+            for (batch, count) in counts.iter_mut().enumerate() {
                 let mut seen = Seen::default();
                 while seen.started < work.paths || seen.flying > 0 {
                     let made = submissions.next(work, &seen);
@@ -220,7 +220,7 @@ mod tests {
                     let (after, seconds) = self.trace(work, &made, sorted, &seen);
                     submissions.learn(work, &made, &seen, &after, seconds);
                     seen = after;
-                    counts[batch] += 1;
+                    *count += 1;
                     if batch > 0 {
                         longest = f64::max(longest, seconds);
                     }
