@@ -24,7 +24,7 @@ const POOL_INTEGRATED: u32 = 1 << 20;
 const POOL_SOFTWARE: u32 = 1 << 16;
 
 /// Part of a pool that a level of the fused schedule traces at least, by longer visits where fewer rays are left. On an H100 a
-/// level of so many takes about twice what an empty one does; a fourth to a sixteenth were as good (docs/PERFORMANCE.md).
+/// fourth to a sixteenth were as good (docs/PERFORMANCE.md).
 const LEAST_PART: u32 = 8;
 
 pub struct WavefrontEngine {
