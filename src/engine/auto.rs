@@ -12,11 +12,12 @@ const MANY_TESTS: usize = 64;
 const MANY_KINDS: u32 = 3;
 
 /// The engine that is faster for this scene: the megakernel up to 63 shape tests a level, and where invocations do much alike
-/// whatever they meet: everything diffuse, nothing textured or smoothed, no tree of lights (1.02 to 1.42
-/// times as fast as the fused schedule on the shipped scenes that it is taken for; door-ajar 1.06, guided 1.11; mesh 1.08). Else the wavefront
+/// whatever they meet: everything diffuse, nothing textured or smoothed, no tree of lights (1.02 to 1.42 times as fast as the
+/// fused schedule on the shipped scenes that it is taken for; door-ajar 1.06, guided 1.11; mesh 1.08). Else the wavefront
 /// (fused: glass-shelf 1.05, many-lights 1.07, surfaces 1.02; streamed: interior 1.29, the chess model 1.33, still-life 1.50
-/// times as fast). Rough glass, whose shading takes longer than what its neighbours do, and environment maps, which are searched
-/// in memory, always go to the wavefront (rough-glass 1.09, open-sky 1.03, by those scenes alone). docs/PERFORMANCE.md.
+/// times as fast, at commit dad6cce). Rough glass, whose shading takes longer than what its neighbours do, and environment
+/// maps, which are searched in memory, always go to the wavefront (rough-glass 1.09, open-sky 1.03, by those scenes alone).
+/// docs/PERFORMANCE.md.
 ///
 /// Options that only the wavefront knows imply it.
 pub fn preferred_engine(scene: &CompiledScene, key: &KernelKey, options: &RenderOptions) -> EngineKind {
